@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import copy
 import io
 import json
 import logging
@@ -20,14 +21,19 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import can
+import numpy as np
+from mcap.writer import CompressionType, Writer
 
 from monitor_arm import known_model, motion
 from stopset.artifact import load_model, save_model
+from stopset.artifact.store import _digest
 from stopset.errors import StopsetError
+from stopset.monitor.along import watch_for
 from stopset.monitor.authentication import load_keys
 from stopset.monitor.bags import trials_of_bag
 from stopset.monitor.config import load_config
@@ -40,12 +46,16 @@ from stopset.monitor.orders import parse_reset
 from stopset.monitor.packer import pack
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
+from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View
+from stopset.recording.seen import open_seen
 
 PROFILE = load_profile("lwa4p/monitor")
 SPICE = [
-    b"\0", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"NaN", b"1e999", b"-1", b"9" * 400, b"[" * 2000, b"{" * 2000, b'"', b"null", b"inf",
-    b"\n", b"=", b"0x", b"\xc3", b"{}", b"[]", b"true", b"-0", b"\x80" * 8, b"1_000", b"'''", b"\\u0000",
+    b"\0", b"\xff", b"\xff\xff\xff\xff",
+    b"\x7f\xff\xff\xff", b"NaN", b"1e999", b"-1", b"9" * 400, b"9" * 5000, b"[" * 2000, b"{" * 2000, b'"', b"null",
+    b"inf", b"\n", b"=", b"0x", b"\xc3", b"{}", b"[]", b"true", b"-0", b"\x80" * 8, b"1_000", b"'''", b"\\u0000",
 ]  # fmt: skip
 
 
@@ -70,6 +80,53 @@ def spoilt(rng: random.Random, seeds: list[bytes]) -> bytes:
         else:
             data[at:at] = data[at : at + 16]
     return bytes(data)
+
+
+TERRIBLE = [
+    None, True, "", "x", "\ud800", "nan", -1, 0, 1, 2**63, 10**400, 1e308, -1e308, 5e-324, math.nan, math.inf,
+    [], {}, [[]], [None], {"": 0}, "9" * 5000,
+]  # fmt: skip
+
+
+def places(tree: object) -> list[tuple[Any, Any]]:
+    """Every container of a JSON tree with each of its keys."""
+    found, todo = [], [tree]
+    while todo:
+        x = todo.pop()
+        keys = list(x) if isinstance(x, dict) else range(len(x)) if isinstance(x, list) else []
+        found += [(x, k) for k in keys]
+        todo += [x[k] for k in keys]  # type: ignore[index]
+    return found
+
+
+def spoilt_tree(rng: random.Random, data: bytes) -> bytes:
+    """JSON with some of its values gone, replaced, scaled, doubled or in each other's places."""
+    tree = json.loads(data)
+    for _ in range(rng.choice([1, 1, 1, 2, 4])):
+        (x, k), (y, m) = rng.choices(places(tree) or [([0], 0)], k=2)
+        kind = rng.randrange(6)
+        if kind == 0:
+            del x[k]
+        elif kind == 1:
+            x[k] = rng.choice(TERRIBLE)
+        elif kind == 2 and isinstance(x[k], int | float):
+            x[k] *= rng.choice([-1, 0, 1e-9, 1e9, 1.5])
+        elif kind == 3 and isinstance(x, list):
+            x.append(copy.deepcopy(x[k]))
+        elif kind == 4 and isinstance(x, dict):
+            x[rng.choice(["", "x", str(m)])] = copy.deepcopy(y[m])
+        else:
+            x[k] = copy.deepcopy(y[m])
+    return json.dumps(tree).encode()
+
+
+def rehashed(data: bytes) -> bytes:
+    """A model file with the hash of what it holds, so that what reads it is reached."""
+    try:
+        body = json.loads(data)
+        return json.dumps(body | {"sha256": _digest(body)}).encode()
+    except (ValueError, TypeError, RecursionError):
+        return data
 
 
 def through_file(suffix: str, read: Callable[[Path], object], folder: Path) -> Callable[[bytes], object]:
@@ -98,6 +155,22 @@ def viewer(data: bytes) -> None:
     for take in (view.take_json, view.take_event, view.take_health, view.take_state):
         take("", data)
     view.snapshot()
+
+
+def record(compression: CompressionType) -> bytes:
+    """A monitor's own, of 20 cycles; not compressed, changes reach what reads the JSON in it."""
+    out, r = io.BytesIO(), motion(0, 20)
+    w = Writer(out, compression=compression)
+    w.start()
+    w.add_metadata(
+        "stopset", {"joints": ",".join(known_model().joints), "cycle_s": "0.004", "robot": "a", "effort": "motor_torque"}
+    )
+    channel = w.register_channel("stopset/joint_states", "json", w.register_schema("stopset.JointStates", "jsonschema", b"{}"))
+    for k in range(20):
+        row = {"k": k, "position": r.q[k].tolist(), "velocity": r.dq[k].tolist(), "effort": r.tau[k].tolist()}
+        w.add_message(channel, k, json.dumps(row).encode(), k)
+    w.finish()
+    return out.getvalue()
 
 
 def good_inputs(folder: Path) -> dict[str, list[bytes]]:
@@ -129,8 +202,6 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
             "insert into messages (topic_id, timestamp, data) values (1, ?, ?)", [(k, to_cdr(states[k % 3])) for k in range(20)]
         )
         x.commit()
-    from mcap.writer import Writer
-
     out = io.BytesIO()
     w = Writer(out)
     w.start()
@@ -151,7 +222,8 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "CAN frames": [b"".join(c.to_bytes(2, "little") + bytes([len(d), 0]) + d.ljust(9, b"\0") for _, c, d in stream[:60])],
         "viewer": [json.dumps(twin).encode(), b'{"kind": "gap", "why": "x"}', pack({"data_id": 1})],
         "configuration": [config], "profile": [PROFILE.dcf.with_name("monitor.toml").read_bytes()], "keys": [f"1 {'11' * 32}\n".encode()],
-        "EDS": [PROFILE.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "MCAP": [out.getvalue()], "db3": [db.read_bytes()],
+        "EDS": [PROFILE.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
+        "MCAP": [out.getvalue()], "MCAP of a violation": [record(CompressionType.NONE), record(CompressionType.ZSTD)], "db3": [db.read_bytes()],
         "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
     }  # fmt: skip
 
@@ -168,6 +240,9 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     def bag(path: Path) -> object:
         return list(trials_of_bag(path, "/joint_states", None, None, 0))
 
+    def seen(path: Path) -> object:
+        return list(open_seen(path)[1])
+
     def log(path: Path) -> object:
         return list(trials_of_log(path, PROFILE, PROFILE.cycle_s))
 
@@ -177,21 +252,44 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     files: dict[str, tuple[str, Callable[[Path], object], Path]] = {
         "configuration": (".toml", load_config, folder), "profile": ("p.toml", profile, folder),
         "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda _: profile(beside / "p.toml"), beside),
-        "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder), "db3": (".db3", bag, folder),
+        "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder),
+        "MCAP of a violation": (".seen.mcap", seen, folder), "db3": (".db3", bag, folder),
         "candump": (".log", log, folder), "ASC": (".asc", log, folder), "BLF": (".blf", log, folder), "TRC": (".trc", log, folder),
     }  # fmt: skip
     memory: dict[str, Callable[[bytes], object]] = {
         "joint_states JSON": decode, "joint_states CDR": decode, "reset": parse_reset, "state message": unpack,
         "CAN frames": frames, "viewer": viewer,
     }  # fmt: skip
-    return memory | {name: through_file(*how) for name, how in files.items()}
+    found = memory | {name: through_file(*how) for name, how in files.items()}
+
+    def watched(path: Path) -> object:
+        """Held against an arm, too: a model that lets everything pass is as bad as one that ends the daemon."""
+        watch, r = watch_for(load_model(path), Quantum.none(6), None, (0.0, 1.0), 0.004), motion(0, 4)
+        for k in range(4):
+            sample = Sample(k, r.t[k], r.q[k], r.dq[k], r.tau[k])
+            verdict = watch.step(sample)
+            if verdict.conformance is Conformance.CONFORMANT:
+                between = watch.tube(sample)
+                assert between is not None and not np.isnan(between).any(), "conformant, by a tube that is none"
+        return watch
+
+    take = through_file(".rehashed.model.json", watched, folder)
+    found["model, right hash"] = lambda data: take(rehashed(data))
+    return found
+
+
+def changed(name: str, rng: random.Random, seeds: list[bytes]) -> bytes:
+    """An input for this parser."""
+    if name == "model, right hash" and rng.randrange(8):
+        return spoilt_tree(rng, rng.choice(seeds))
+    return spoilt(rng, seeds)
 
 
 def fuzz(name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs: int, seed: int) -> Counter[str]:
     """Outcomes by kind; foreign ones by the exception's name."""
     rng, out = random.Random(f"{name} {seed}"), Counter[str]()
     for _ in range(inputs):
-        data = spoilt(rng, seeds)
+        data = changed(name, rng, seeds)
         try:
             parse(data)
             out["taken"] += 1

@@ -19,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from plain_sets import leak
 from set_problems import binary_search, problem
 from stopset.artifact import Abstraction, Model
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.compare.compare import inputs
 from stopset.offline.conform import monotone_sets as co
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.reach.nonlinear import nominal

@@ -12,7 +12,8 @@ import numpy as np
 
 from stopset.artifact import Model, load_model
 from stopset.files import write_text
-from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.reach.flowpipe import deviation_tube
+from stopset.reach.predict import predict
 from stopset.recording import Recording, read_recordings
 from stopset.types import Array
 

@@ -28,7 +28,6 @@ from stopset.offline.brakes.power_off import brakes_from, guessed_brakes, look
 from stopset.offline.brakes.stops import rest_noise
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import identify
-from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import Ramp, ramp_of, ramp_time
 from stopset.reach.stops.setting import setting_of
 from stopset.reach.stops.tube import Tube
@@ -57,7 +56,7 @@ class Row:
 
 def exceeds(tubes: Sequence[Tube], r: Recording, rests: float | None = None) -> tuple[float, float]:
     """Bound over measured: angle of the joint that went farthest, time until the last joint stopped (``rests`` [s], default the tubes')."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     travel = np.abs(r.q[k:] - r.q[k]).max(axis=0)
     i = int(np.argmax(travel))
@@ -69,7 +68,7 @@ def exceeds(tubes: Sequence[Tube], r: Recording, rests: float | None = None) -> 
 
 def rest_of(ramp: Ramp, noise: Box, r: Recording) -> float:
     """[s] time to rest of a controlled stop from the state measured at its request; nan where the ramp does not tell."""
-    k, n = trigger_of(r), r.dq.shape[1]
+    k, n = r.stop_requested, r.dq.shape[1]
     assert k is not None
     rest = ramp_time(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
     return np.nan if rest is None else float(rest.max())

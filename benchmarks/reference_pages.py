@@ -56,7 +56,7 @@ def taken(action: argparse.Action) -> tuple[str, str]:
 # what a script or notebook needs, in the order in which it is used
 API = (
     "stopset.offline.description.load_robot", "stopset.recording.read_recordings", "stopset.recording.stream_recordings",
-    "stopset.offline.identify.pipeline.identify", "stopset.offline.identify.settings.Settings", "stopset.artifact.load_model",
+    "stopset.offline.identify.pipeline.identify", "stopset.offline.identify.pipeline.Settings", "stopset.artifact.load_model",
     "stopset.artifact.save_model", "stopset.offline.compare.compare.compare", "stopset.offline.compare.verdict.verdict",
     "stopset.offline.diagnose.diagnose_model", "stopset.offline.revise.revise.add", "stopset.reach.stops.stop",
     "stopset.reach.stops.StopBounds", "stopset.offline.stops.table.stop_table", "stopset.offline.plan.design", "stopset.fmu.export",

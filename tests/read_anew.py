@@ -8,11 +8,11 @@ from pathlib import Path
 
 from stopset.artifact import Model
 from stopset.offline.campaign.run import Run
+from stopset.offline.campaign.settings import settings_of
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import STOPS, Tally
 from stopset.offline.conform.gather import RetainedSums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
-from stopset.offline.revise.revise import settings_of
 from stopset.progress import Progress, silent
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import Abstraction, UncertaintySets
-from stopset.offline.conform.corners import Trial
+from stopset.offline.abstraction.grid import GRID, Trial, coarser
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.conform.monotone_sets import fit_cooperative
-from stopset.offline.conform.nonlinear import GRID, WINDOWS, coarser, fit_windows, starts, windows_of
+from stopset.offline.conform.nonlinear import WINDOWS, fit_windows, starts, windows_of
 from stopset.offline.conform.problem import Options, SetProblem
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template
 from stopset.types import Array
 

@@ -27,7 +27,7 @@ class Failed(NamedTuple):
     tcp: float
 
 
-def _shares(ramp: Ramp, dq: Array, rng: np.random.Generator) -> Array:
+def failing_shares(ramp: Ramp, dq: Array, rng: np.random.Generator) -> Array:
     """(K, n) share of the request's speed of each joint, constant over each `DT` until power is taken."""
     n, top = len(dq), ramp.share
     lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
@@ -72,7 +72,7 @@ def sample_failed_ramps(bounds: StopBounds, bound: StopBound, q: Array, dq: Arra
         kind = k % 5
         x = draw(plant, kind, sign, W, rng)
         q0, v0 = start_of(x, kind, q, dq, s.noise.radius[:n], s.noise.radius[n:], rng)
-        shares = _shares(ramp, dq, rng)
+        shares = failing_shares(ramp, dq, rng)
         before = np.vstack([np.zeros(n), np.cumsum(shares * v0 * DT, axis=0)])
         qs, vs = simulate_stop(
             StoppingArm(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise), q0 + before[-1], shares[-1] * v0, DT, steps, x.u

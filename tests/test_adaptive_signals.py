@@ -14,9 +14,9 @@ from stopset.artifact import Model, load_model, model_text, save_model
 from stopset.cli.main import main
 from stopset.effects.base import Fitted
 from stopset.errors import ModelFileError, RecordingError
+from stopset.offline.identify import signals_file
 from stopset.offline.identify.pipeline import Settings, identify
-from stopset.offline.update import signals_file
-from stopset.offline.update.signals_file import RetainedSignals
+from stopset.offline.identify.signals_file import RetainedSignals
 from stopset.offline.update.update import load_state, save_state, update
 from stopset.recording import Recording, stream_recordings, write_recordings
 from stopset.robot import Robot

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
+import math
 import typing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -129,6 +132,50 @@ def test_contents_that_do_not_fit_are_refused(planar, tmp_path: Path, change: di
     rewritten(path, change)
     with pytest.raises(ModelFileError, match=r"m\.json"):
         load_model(path)
+
+
+def half_a_character(body: dict[str, Any]) -> None:
+    body["notes"] = ["\ud800"]
+
+
+def longer_limits(body: dict[str, Any]) -> None:
+    body["robot"]["arm"]["dq_limit"] += [1.0]
+
+
+def no_steps(body: dict[str, Any]) -> None:
+    body["sets"]["powered"]["dt"] = -1.0
+
+
+def endless_horizon(body: dict[str, Any]) -> None:
+    body["sets"]["powered"]["horizon"] = math.inf
+
+
+def no_number(body: dict[str, Any]) -> None:
+    body["rotor"][0] = math.nan
+
+
+def too_large(body: dict[str, Any]) -> None:
+    body["rotor"][0] = 10**400
+
+
+@pytest.mark.parametrize("spoil", [half_a_character, longer_limits, no_steps, endless_horizon, no_number, too_large])
+def test_what_a_fuzzer_found_in_files_whose_hash_is_right(spoil: Any, planar, tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    save_model(planar[2].model, path)
+    body = json.loads(path.read_text())
+    spoil(body)
+    content = {k: v for k, v in body.items() if k != "sha256"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    body["sha256"] = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
+    path.write_text(json.dumps(body))
+    with pytest.raises(ModelFileError, match=r"m\.json"):
+        load_model(path)
+
+
+def test_a_number_of_more_digits_than_python_takes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.json").write_text('{"format": "stopset model", "schema": 5, "rotor": [' + "9" * 5000 + "]}")
+    with pytest.raises(ModelFileError, match=r"m\.json"):
+        load_model(tmp_path / "m.json")
 
 
 def test_nothing_in_it_is_executed(planar, tmp_path: Path) -> None:

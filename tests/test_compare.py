@@ -16,7 +16,8 @@ from stopset.errors import RecordingError
 from stopset.offline.compare.compare import answer, compare
 from stopset.offline.compare.dependence import Explained, partial_residual, strongest_first
 from stopset.offline.compare.verdict import verdict
-from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.reach.flowpipe import deviation_tube
+from stopset.reach.predict import predict
 from stopset.recording import Meta, read_recordings, write_recordings
 from synthetic import names, recordings, save_trials
 

@@ -292,7 +292,7 @@ def test_where_a_law_has_no_bound_no_stop_is_provable(category: str) -> None:
     core = core_stop(bounds)
     q, dq = np.array([0.2, 0.7, -0.4]), np.array([0.1, 0.2, -0.1])
     assert core(q, dq, category) is not None
-    struct = core.__self__._struct  # type: ignore[attr-defined]
+    struct = core.__self__.struct  # type: ignore[attr-defined]
     law = struct.torques.law[0]
     steps = ffi.cast("int32_t *", law.law.steps)
     before = [steps[k] for k in range(3 * law.law.length)]

@@ -19,8 +19,8 @@ from nominal_cases import JOINTS, Truth, campaign
 from nominal_cases import arm as three_joints
 from stopset.cli.main import DEBUG, DEFECT, FILES, commands, main
 from stopset.errors import NotConformant
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.conform import monotone_sets, program
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.baseline import drive_gain

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from stopset.offline.description import load_robot
-from stopset.offline.diagnose.columns.ripple import _power, _products
 from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.gravity import gravity_moments
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
+from stopset.offline.diagnose.search.ripple import _power, _products
 from stopset.robot import rigid
 
 RNG = np.random.default_rng(3)

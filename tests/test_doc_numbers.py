@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from stopset.offline.campaign import session
+from stopset.offline.campaign import calibration, session
 from stopset.offline.conform import guarantee
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import FOLDS
@@ -48,7 +48,7 @@ IN_WORDS: tuple[tuple[str, str, float], ...] = (
     ("diagnosis", "(of {} seconds, where", limit.PART),
     ("diagnosis", "it takes {} as much", prior.IDENTIFICATION),
     ("stops", "is cut into {} windows", tubes.FAST_WINDOWS),
-    ("uncertainty-sets", "With fewer than {} motions it is calibrated", guarantee.FEWEST_MOTIONS),
+    ("uncertainty-sets", "With fewer than {} motions it is calibrated", calibration.FEWEST_MOTIONS),
     ("uncertainty-sets", "never narrower than {} the standard error", parameter_uncertainty.ERRORS),
 )
 
@@ -100,7 +100,7 @@ def test_every_threshold_has_a_meaning_and_a_calibration() -> None:
 FINENESS = (
     ("changes", "RIDGE", "rounding"),
     ("columns/elasticity", "RATHER_NOT SUBSTEPS SWING_ROUNDS", "how finely a swing is integrated"),
-    ("columns/ripple", "STEP RIPPLES", "grid of a search"),
+    ("search/ripple", "STEP RIPPLES", "grid of a search"),
     ("compensated", "STEP SCREENING FINALISTS", "how finely is simulated, and how many are simulated to the end"),
     ("evidence/baseline", "POSES", "how many poses an average is taken over"),
     ("evidence/candidate", "HELD", "infinite"),
@@ -120,12 +120,20 @@ FINENESS = (
     ("standing", "USUAL_TORQUE", "stands in for a number that nobody stated"),
 )
 PLAIN = {0, 1, 2}  # none, one, either side: no threshold
+# comparisons with twice something that is no threshold
+TWICE = (
+    ("search/ripple", "power[top] < 2 * np.log(len(RIPPLES))", "the logarithm of a likelihood, for its square"),
+    ("rows/prepare", "len(g.t) > 2 * kernel.half + step", "a kernel's two sides"),
+    ("standing", "swing > 2 * friction + limit.PUSHED * most", "friction to either side"),
+)
 
 
 def numbers(node: ast.AST) -> list[float]:
-    """Numbers in a piece of code that are no plain ones."""
+    """Numbers in a piece of code that are no plain ones, and those that something is multiplied by."""
     found = [x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and type(x.value) in (int, float)]
-    return [x for x in found if x not in PLAIN]
+    times = [s for x in ast.walk(node) if isinstance(x, ast.BinOp) and isinstance(x.op, ast.Mult) for s in (x.left, x.right)]
+    twice = [x.value for x in times if isinstance(x, ast.Constant) and x.value == 2]
+    return [x for x in found if x not in PLAIN] + twice
 
 
 def own_numbers(text: str) -> set[str]:
@@ -144,6 +152,7 @@ def own_numbers(text: str) -> set[str]:
 def test_no_module_of_the_diagnosis_has_a_threshold_of_its_own() -> None:
     folder = Path(limit.__file__).parent
     fine = {(module, name) for module, names, why in FINENESS for name in names.split() if why}
+    fine |= {(module, comparison) for module, comparison, why in TWICE if why}
     own = {
         (path.relative_to(folder).with_suffix("").as_posix(), what)
         for path in folder.rglob("*.py")
@@ -155,6 +164,7 @@ def test_no_module_of_the_diagnosis_has_a_threshold_of_its_own() -> None:
     assert (
         own_numbers("if x.gain > 0.5 * best:\n    pass")
         and own_numbers("SURE = (2.0, 3)")
+        and own_numbers("v > top + 2 * s")
         and not own_numbers("x[0] > limit.SURE")
     )
 

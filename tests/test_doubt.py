@@ -9,7 +9,7 @@ import pytest
 
 from nominal_cases import F_C, F_V, JOINTS, Truth, arm, moving
 from stopset.artifact import TorqueZonotope, UncertaintySets, load_model, save_model
-from stopset.offline.conform.program import STOP_TIME
+from stopset.offline.abstraction.metrics import STOP_TIME
 from stopset.offline.identify.pipeline import Settings, identify
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.parameter_uncertainty import STATES, of_regression, recombined, widened

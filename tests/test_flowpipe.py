@@ -13,7 +13,8 @@ from scipy.linalg import expm as scipy_expm
 
 from stopset.artifact import Abstraction, UncertaintySets
 from stopset.errors import NotCovered
-from stopset.reach.flowpipe import along_joints, between_samples, deviation_tube, discretise, expm, predict, responses
+from stopset.reach.flowpipe import along_joints, between_samples, deviation_tube, discretise, expm, responses
+from stopset.reach.predict import predict
 from stopset.sets import Box
 from synthetic import lag
 

@@ -23,7 +23,8 @@ from stopset.fmu import Contents, archive, export
 from stopset.fmu.build import native
 from stopset.fmu.check import SUMS, check_fmu
 from stopset.fmu.reference import reference, reference_texts
-from stopset.reach.flowpipe import deviation_tube, expm, predict
+from stopset.reach.flowpipe import deviation_tube, expm
+from stopset.reach.predict import predict
 from stopset.robot.rigid import mass_matrix
 from stopset.types import Array
 from synthetic import with_payload

@@ -31,7 +31,7 @@ from stopset.fmu.check import check_fmu
 from stopset.fmu.description import base_unit, build_description
 from stopset.fmu.sources import fmi_headers
 from stopset.fmu.variables import variables
-from stopset.reach.flowpipe import predict
+from stopset.reach.predict import predict
 from test_fmu import AGREE, DT, HERE, friction
 from test_fmu_stops import braked
 

@@ -21,8 +21,8 @@ from stopset.monitor.along import watch_for
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
 from stopset.offline.abstraction import build
-from stopset.reach.flowpipe import predict
 from stopset.reach.nonlinear import FAR, nominal, predicted_tube
+from stopset.reach.predict import predict
 from stopset.types import Array
 from test_fmu import EFFECTS, HERE, friction
 from test_fmu_watch import TEMP, connect, swinging

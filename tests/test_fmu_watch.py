@@ -21,7 +21,8 @@ from stopset.fmu import Contents, export
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.watch import Watch
-from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.reach.flowpipe import deviation_tube
+from stopset.reach.predict import predict
 from stopset.sets import Zonotope
 from stopset.types import Array
 from test_fmu import DT, EFFECTS, HERE, friction, swift

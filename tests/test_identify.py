@@ -13,17 +13,18 @@ import pytest
 from nominal_cases import F_C, F_V, JOINTS, Truth, moving
 from nominal_cases import arm as three_joints
 from stopset.cli.main import main
+from stopset.effects.base import Fitted
 from stopset.errors import EffectError
 from stopset.offline.abstraction import build
 from stopset.offline.abstraction import order_selection as order
+from stopset.offline.abstraction.metrics import torque_error
+from stopset.offline.abstraction.nominal_part import NominalPart, fit_nominal
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.survey import on_grid, survey
 from stopset.offline.compare.compare import answer, compare
-from stopset.offline.compare.metrics import torque_error
 from stopset.offline.conform.guarantee import scenario_bound
 from stopset.offline.identify.pipeline import Identification, Settings, identify
-from stopset.offline.nominal.model import NominalPart, fit_nominal
 from stopset.reach.nonlinear import nominal
 from stopset.recording import Meta, Recording
 from synthetic import DT, arm, columns, meta, names, recordings, save, save_trials, urdf
@@ -318,7 +319,7 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
     found = survey(lambda: trials)
     settings = Settings(effects=("cubic_viscous",), friction="plain")
     run = Run(robot, head, lambda: trials, found, settings)
-    part = fit_nominal(robot, head, run.trials, found, settings)
+    part = fit_nominal(run)
     values = [f.values["v_3"] for f in part.effects if f.effect == "cubic_viscous"]
     np.testing.assert_allclose(values, v3, rtol=0.1)  # at every joint, since none was named
     out = abstracted(run, (), part)
@@ -326,14 +327,15 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
     assert "held out of the fit" in out.notes[-1] and "order 1:" in out.notes[-1] and "order 3:" in out.notes[-1]
     linear = abstracted(replace(run, settings=replace(settings, order=1)), (), part)
     assert linear.abstraction.linear  # what is asked for is done
-    plain = fit_nominal(robot, head, lambda: trials, found, Settings(friction="plain"))
-    assert abstracted(replace(run, settings=Settings(friction="plain")), (), plain) is plain
+    plainly = replace(run, settings=Settings(friction="plain"))
+    plain = fit_nominal(plainly)
+    assert abstracted(plainly, (), plain) is plain
     # what judges is never what was fitted
     seen: list[tuple[str, int]] = []
 
-    def fitted(*args: object) -> NominalPart:
-        seen.extend(r.suite_key for r in args[2]())  # type: ignore[operator]
-        return fit_nominal(*args)  # type: ignore[arg-type]
+    def fitted(half: Run, known: tuple[Fitted, ...]) -> NominalPart:
+        seen.extend(r.suite_key for r in half.trials())
+        return fit_nominal(half, known)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(order, "fit_nominal", fitted)
@@ -346,7 +348,9 @@ def test_the_order_is_that_which_predicts_motions_left_out_of_the_fit(v3: tuple[
 def test_friction_that_the_motions_do_not_show_is_refused() -> None:
     trials, robot = bent(3, np.zeros(3)), three_joints()
     with pytest.raises(EffectError, match="no trace"):
-        fit_nominal(robot, Meta(joints=JOINTS), lambda: trials, survey(lambda: trials), Settings(effects=("load_coulomb:base",)))
+        fit_nominal(
+            Run(robot, Meta(joints=JOINTS), lambda: trials, survey(lambda: trials), Settings(effects=("load_coulomb:base",)))
+        )
 
 
 def test_answer_and_page_are_of_one_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from stopset.artifact import load_model
 from stopset.cli.main import main
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.description import robot_from_text
 from stopset.offline.identify.pipeline import identify
-from stopset.offline.identify.settings import Settings
 from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot import Robot
 from stopset.robot.rigid import torques

@@ -11,11 +11,11 @@ from scipy.signal import butter, filtfilt
 
 from nominal_cases import F_C, JOINTS, Truth, arm, moving
 from stopset.effects.selection import base, usual
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.compare.compare import compare
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identify
-from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.nominal import Preprocessing, identify_nominal, residuals
 from stopset.offline.nominal.low_pass import recorded_low_pass

@@ -497,6 +497,7 @@ GOOD = 'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n'
         (GOOD + "[publish]\nvalid_for_ms = 0", "valid_for_ms is 0"),
         (GOOD + "[publish]\nrecover_s = nan", "recover_s is nan"),
         ("payload_kg = nan\n" + GOOD, "payload_kg is nan"),
+        (f"payload_kg = {'9' * 5000}\n" + GOOD, "TOML"),
     ],
 )
 def test_bad_configuration_gets_one_sentence(text: str, word: str, tmp_path: Path) -> None:

@@ -6,8 +6,6 @@ import os
 import signal
 import sys
 import time
-from collections import deque
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +18,13 @@ from stopset.monitor.certificates import Certificate, Numbers, Shelf
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import LEFT, SPENT, StopDesk, seen_by
-from stopset.monitor.stopworker import answer_for
 from stopset.reach.stops import StopBounds
 from stopset.sets import Box
 from stopset.types import Array
 from test_monitor_stops import prbt_like
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from monitor_bounds import never_twice
+from monitor_bounds import Alone, Standing, never_twice
 
 CYCLE = 0.004  # [s]
 SEEN = Box.symmetric(np.repeat([3.0, 2.0], 6))
@@ -93,41 +90,27 @@ class Hand:
         """Nobody sleeps."""
 
 
-class Beside(StopDesk):
-    """The desk with the proofs in this process: an answer comes when it would have come from a core of its own."""
+class Beside(Alone):
+    """With a stated time that a proof takes, so that nothing hangs on this machine's."""
 
     prepared = StopBounds.of(prbt_like((0.0, 0.25)), fast=True)
-    cost = 0.0  # [s] that a proof is said to take
+    cost = 0.0  # [s]
 
-    def _start(self) -> None:
-        self._ready, self._pipe, self.free, self.due = True, self, 0.0, deque()
-
-    def send(self, request: tuple[str, Array, Array]) -> None:
-        """As the pipe's."""
-        answer = answer_for(self.prepared, *request)
-        self.free = max(self.free, self.clock.monotonic()) + self.cost
-        self.due.append((self.free, replace(answer, cpu=self.cost, took=self.free - self.clock.monotonic())))
+    def price(self, answer: Certificate) -> float:
+        """The same for every answer."""
+        return self.cost
 
     def see(self, q: Array, dq: Array) -> bool:
         """A cycle later the arm is here; whether its stop is bounded."""
         self.clock.now += CYCLE
-        now = self.clock.now
-        while self.due and self.due[0][0] <= now:
-            self._inbox.append(self.due.popleft()[1])
-        self.offer(now, q, dq)
+        self.arrive()
+        self.offer(self.clock.now, q, dq)
         numbers, fresh = self.now(q, dq)
         return fresh and all(x.proven for x in numbers.values())
 
 
-class Still(Hand):
-    """Stands until it is set."""
-
-    def monotonic(self) -> float:
-        return self.now
-
-
 def beside(cost: float) -> Beside:
-    desk = Beside("", seen_by(prbt_like()), Stops(("0",)), None, Quantum.none(N), clock=Still())
+    desk = Beside("", seen_by(prbt_like()), Stops(("0",)), None, Quantum.none(N), clock=Standing())
     desk.cost = cost
     return desk
 

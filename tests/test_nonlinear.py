@@ -18,19 +18,18 @@ from stopset.artifact import Abstraction, UncertaintySets, load_model, save_mode
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, StopsetError
 from stopset.offline.abstraction import IdentifiedArm, abstract, build, friction_polynomial, ranked
+from stopset.offline.abstraction.grid import Trial, coarser
+from stopset.offline.abstraction.metrics import Figures
 from stopset.offline.campaign import survey
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.campaign.trials import Pairs
 from stopset.offline.compare.compare import compare
-from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform import monotone_sets as co
 from stopset.offline.conform import nonlinear, nonlinear_sets
-from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.envelope import Deviations
 from stopset.offline.conform.linear_program import fit_sets
-from stopset.offline.conform.nonlinear import coarser
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear, worst_excess
 from stopset.offline.conform.problem import SetProblem
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import FITTING, Settings, identify
 from stopset.reach.flowpipe import responses

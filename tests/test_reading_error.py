@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stopset.offline.conform.noise import TELLING, NoiseEstimate
-from stopset.offline.conform.reading_error import SMOOTH, reading_residual
+from stopset.offline.campaign.noise import TELLING, NoiseEstimate
+from stopset.offline.campaign.reading_error import SMOOTH, reading_residual
 from stopset.offline.identify.pipeline import identify
 from stopset.recording import Recording
 from synthetic import arm, lag, names, recordings, save_trials

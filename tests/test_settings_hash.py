@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from stopset.effects.registry import catalogue
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.diagnose import thresholds
 from stopset.offline.identify import constants as table
 from stopset.offline.identify.constants import TABLE, digest, settings_sha256
-from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import prior
 
 START = "stopset.offline.identify.pipeline"  # and all it imports is what stands between recordings and model file
@@ -39,7 +39,7 @@ LEFT_OUT = (
     ("stopset.artifact.abstraction", "_PROGRAMS", BUDGET),
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
-    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA LAGS ARM", FORMAT),
+    ("stopset.artifact.store", "FORMAT FIRST_SCHEMA LAGS ARM MOST_STEPS", FORMAT),
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),
@@ -48,12 +48,13 @@ LEFT_OUT = (
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
     ("stopset.offline.campaign.trials", "MOST", BUDGET),
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
-    ("stopset.offline.compare.metrics", "TOGETHER", BUDGET),
+    ("stopset.offline.abstraction.metrics", "TOGETHER", BUDGET),
     ("stopset.offline.conform.corners", "Q_LO V_LO Q_HI V_HI NOISE_LO NOISE_HI U_LO U_HI", CODES),
     ("stopset.offline.conform.guarantee", "GIVEN OTHER_MOTIONS REPETITIONS SAME_MOTION NO_REPETITION", WORDS),
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.identify.pipeline", "PASSES", BUDGET),
+    ("stopset.offline.identify.signals_file", "*", FORMAT),
     ("stopset.offline.identify.pipeline", "FITTING", WORDS),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
@@ -78,10 +79,10 @@ LEFT_OUT = (
     ("stopset.offline.description.complete", "FREE PRODUCTS", FORMAT),
     ("stopset.offline.description.enclose", "ROUND OUTWARD", "how tightly a link's shape is enclosed; that it is, is checked after"),
     ("stopset.offline.description.outline", "TURNS", "kinds of joints in a URDF"),
-    ("stopset.offline.identify.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
+    ("stopset.offline.campaign.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
     ("stopset.offline.inspect.*", "*", GATE),
     ("stopset.offline.nominal.low_pass", "TURNS_OVER", WORDS),
-    ("stopset.offline.nominal.model", "NO_TRACE", WORDS),
+    ("stopset.offline.abstraction.nominal_part", "NO_TRACE", WORDS),
     ("stopset.offline.nominal.nominal", "LOW_PASS", WORDS),
     ("stopset.offline.nominal.normal_equations_file", "SCHEMA ARRAYS", FORMAT),
     ("stopset.offline.nominal.unidentifiable", "PARAMETERS", WORDS),
@@ -95,7 +96,7 @@ LEFT_OUT = (
     ("stopset.reach.stops.laws", "ROLES ROAMING", CODES),
     ("stopset.reach.stops.parts", "ALL_PARTS", CODES),
     ("stopset.reach.stops.setting", "OUTSIDE", WORDS),
-    ("stopset.offline.compare.metrics", "REPEATED", "which scatters between repetitions are reported"),
+    ("stopset.offline.abstraction.metrics", "REPEATED", "which scatters between repetitions are reported"),
     ("stopset.reach.stops.start", "NONE", "no extrapolation at all: what is known at the start as it is"),
     ("stopset.reach.stops.setting", "HEAVIEST FARTHEST", REFUSED),
     ("stopset.reach.stops.ramp", "KEY", FORMAT),

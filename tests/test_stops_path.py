@@ -22,8 +22,7 @@ sys.path.insert(0, str(File(__file__).resolve().parents[1] / "benchmarks"))
 from independent_stops import carrying, gravity_load, shipped_arm
 from stop_arms import prbt_like
 
-pytest.importorskip("toppra")
-from stopset.offline.stops.path import Path, path_stop
+from stopset.reach.stops.path import Path, path_stop
 
 MODEL = prbt_like((0.0, 0.5))
 RAMP = Ramp.stated(6, time=0.3, control=0.02)
@@ -50,6 +49,68 @@ def test_stays_on_the_path_within_torque_and_uses_it() -> None:
     assert stop.room < 0.1 * MODEL.robot.torque_limit.max()
     slower = path_stop(BOUNDS, path, 0.5, 0.75)
     assert slower.length < stop.length and slower.time < stop.time
+
+
+def controllable(path: Path, begin: float, length: float, rate: float) -> bool:
+    """Whether toppra stops the arm of `MODEL` within ``length`` of the path from ``begin`` at ``rate``."""
+    toppra = pytest.importorskip("toppra")
+    toppra.setup_logging("CRITICAL")
+    setting = BOUNDS.setting
+    assert setting is not None and setting.torques.settled
+    plant, robot = setting.plant, MODEL.robot
+    top = np.abs(path.p(np.linspace(begin, begin + length, 400), 1)).max(axis=0) * rate
+    extra = plant.coulomb_hi + plant.viscous_hi * top + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
+    room = 0.98 * robot.torque_limit - extra
+
+    class Piece(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
+        dof, path_interval, waypoints = MODEL.n, np.array([0.0, length]), None
+
+        def __call__(self, s: np.ndarray, order: int = 0) -> np.ndarray:
+            rows = path.p(np.atleast_1d(np.asarray(s, float)) + begin, order)
+            return rows[0] if np.ndim(s) == 0 else rows
+
+    c = toppra.constraint
+    constraints = [
+        c.JointTorqueConstraint(
+            lambda q, v, a, pi=pi: torque(robot.chain, pi, q, v, a) + plant.rotor * a, np.stack([-room, room], axis=1),
+            np.zeros(MODEL.n), discretization_scheme=c.DiscretizationType.Interpolation,
+        )
+        for pi in (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
+    ]  # fmt: skip
+    instance = toppra.algorithm.TOPPRA(
+        constraints, Piece(), gridpoints=np.linspace(0.0, length, 121), solver_wrapper="seidel", parametrizer="ParametrizeConstAccel"
+    )  # fmt: skip
+    speeds = instance.compute_parameterization(rate, 0.0)[1]
+    return speeds is not None and bool(np.all(np.isfinite(speeds)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_core_s_stop_is_the_shortest_that_toppra_finds(seed: int) -> None:
+    """One percent more it finds, one percent less it does not."""
+    rng = np.random.default_rng(seed)
+    path, begin, rate = (
+        Path.through(0.5 * rng.uniform(-0.8, 0.8, (5, 6)).cumsum(axis=0)),
+        rng.uniform(0.0, 2.0),
+        rng.uniform(0.3, 2.5),
+    )
+    stop = path_stop(BOUNDS, path, begin, rate)
+    late = begin + 0.02 * rate
+    length = stop.length - 0.02 * rate
+    assert controllable(path, late, 1.01 * length, rate) and not controllable(path, late, 0.99 * length, rate)
+
+
+def test_a_path_is_the_natural_spline_through_its_rows() -> None:
+    from scipy.interpolate import CubicSpline
+
+    rng = np.random.default_rng(0)
+    for count in (3, 4, 40):
+        points = rng.normal(size=(count, 6))
+        path, want = Path.through(points), CubicSpline(np.arange(count), points, axis=0, bc_type="natural")
+        s = np.linspace(0.0, count - 1.0, 300)
+        assert all(np.abs(path.p(s, k) - want(s, k)).max() < 1e-11 for k in range(3))
+    line = Path.through(points[:2])
+    assert np.array_equal(line.p(np.array([0.5]), 0)[0], points[0] + 0.5 * (points[1] - points[0]))
+    assert np.all(line.p(np.array([0.3]), 2) == 0.0)
 
 
 def test_straight_line_matches_the_closed_form() -> None:
@@ -114,7 +175,7 @@ def test_a_path_is_passed_forward_from_a_row_of_it(s: float, ds: float) -> None:
 def test_a_path_whose_parameter_decreases_is_refused() -> None:
     good = Path.through(POINTS)
     with pytest.raises(NotCovered, match="knots that grow"):
-        Path(good.p, good.length, good.knots[::-1].copy())
+        Path(np.r_[0.0, good.knots[:0:-1]], good.coefficient)
 
 
 def weak_brakes(share: float) -> Model:
@@ -167,7 +228,7 @@ def test_a_path_through_states_no_recording_shows_is_not_covered_or_marked() -> 
         assert "EXTRAPOLATED STATE" in marked.why and any("EXTRAPOLATED STATE" in a for a in marked.assumptions)
 
 
-@pytest.mark.parametrize(("begin", "sees"), [(0.0, True), (2.0, False)])
+@pytest.mark.parametrize(("begin", "sees"), [(0.0, True), (2.6, False)])
 def test_a_path_stop_counts_effects_where_the_arm_passes(begin: float, sees: bool) -> None:
     """A spring on the first joint: weak where the path begins, however far it was identified; too strong a rad away, wherever it was."""
     path, limit = Path.through(POINTS[: 2 if sees else 4]), float(MODEL.robot.torque_limit[0])

@@ -11,7 +11,7 @@ import pytest
 
 from stopset.cli.main import main
 from stopset.offline.campaign.survey import Survey
-from stopset.offline.compare.tightness import JUDGED, LIMIT, NAMES, Tightness, of_tube, table
+from stopset.offline.conform.tightness import JUDGED, LIMIT, NAMES, Tightness, of_tube, table
 from stopset.offline.description import load_robot
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.pipeline import identify

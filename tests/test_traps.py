@@ -20,16 +20,18 @@ import stopset.offline.conform.program as program
 from set_problems import problem
 from stopset.artifact import Abstraction, Domain, UncertaintySets, load_model, save_model
 from stopset.errors import RecordingError
+from stopset.offline.abstraction.metrics import STOP_TIME
 from stopset.offline.campaign.independence import independent_motions
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.campaign.survey import on_grid
 from stopset.offline.compare.compare import compare
 from stopset.offline.conform.envelope import Deviations, Envelope, step_residual
 from stopset.offline.conform.guarantee import clopper_pearson
 from stopset.offline.conform.linear_program import FittedSets, fit_sets
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.pipeline import Settings, identify
-from stopset.reach.flowpipe import Responses, deviation_tube, discretise, predict, responses
+from stopset.reach.flowpipe import Responses, deviation_tube, discretise, responses
+from stopset.reach.predict import predict
 from stopset.recording import Recording, read_meta, read_recordings, stream_recordings
 from stopset.sets import Box
 from synthetic import DT, arm, columns, lag, meta, names, recordings, save, save_trials, torques
@@ -372,14 +374,14 @@ def test_p11_radians_and_radians_per_second_are_weighted_not_added() -> None:
     block = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1), dense=True)
     naive = linear._block(env, R, [0, 1], [0, 1], [0], program.Bounds(noise, 1, capped=False), dense=True)
     # columns: X0 lo (q, dq), X0 hi (q, dq), V lo, V hi, U lo, U hi; a velocity counts as its way within a stop
-    assert block.cost[7] / block.cost[6] == pytest.approx(program.STOP_TIME)
+    assert block.cost[7] / block.cost[6] == pytest.approx(STOP_TIME)
     assert naive.cost[7] / naive.cost[6] == pytest.approx(1.0)  # a rad/s as dear as a rad
 
 
 def test_p11_the_weights_are_in_the_model_file(planar) -> None:
     _, _, found = planar
     cost = found.model.provenance["cost"]
-    assert cost["velocity_counts_for_s"] == program.STOP_TIME
+    assert cost["velocity_counts_for_s"] == STOP_TIME
 
 
 # ---- P12: stiction must not hide in X0

@@ -18,9 +18,9 @@ from patience import wait
 from stopset.artifact import Model, load_model
 from stopset.errors import RecordingError
 from stopset.fmu import Contents
+from stopset.offline.compare.scene import POINTS, Scene
 from stopset.offline.workbench import Loop, Server
 from stopset.offline.workbench.jobs import Job
-from stopset.offline.workbench.scene import POINTS, Scene
 from stopset.progress import Progress
 
 

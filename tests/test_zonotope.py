@@ -16,12 +16,12 @@ from read_anew import from_scratch
 from set_problems import problem
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.errors import ModelFileError, NotConformant, NotCovered, RecordingError
+from stopset.offline.abstraction.grid import Trial
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.compare.compare import compare
-from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.linear_program import FittedSets, fit_sets
 from stopset.offline.conform.linear_sets import BOX, enclosing
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template, generators, template, torque_deviations
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify

@@ -25,6 +25,7 @@ from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
 from stopset.fmu.terminals import icon, terminals
 from stopset.fmu.variables import variables
+from stopset.reach.stops.path import Path as StopPath
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's earliest time: the same model gives the same bytes
 
@@ -48,13 +49,15 @@ def _folders(made: Mapping[str, bytes], fmi: int, name: str) -> dict[str, bytes]
 @dataclass(frozen=True, slots=True)
 class Contents:
     """What a unit holds: FMI ``fmi`` (2 or 3), libraries for ``platforms`` (all where empty; none with ``source_only``), reference
-    results, and of FMI 3 the ``clocks`` that ask for a stop: some importers end when they read of any."""
+    results, of FMI 3 the ``clocks`` that ask for a stop: some importers end when they read of any, and the ``path`` along which stops
+    are bounded."""
 
     fmi: int = 3
     platforms: Sequence[str] = ()
     source_only: bool = False
     reference: bool = True
     clocks: bool = False
+    path: StopPath | None = None
 
 
 ALL = Contents()
@@ -81,7 +84,7 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     name = identifier(model)
     if contents.clocks and fmi != 3:
         raise OutputError("clocks in FMI 2; expected FMI 3, which has them: leave clocks or the version out")
-    v = variables(model, clocks=contents.clocks)
+    v = variables(model, clocks=contents.clocks, path=contents.path)
     text, token = sources(model, v)
     units = [*UNITS, "model_data.c"]
     made = binaries(text, units, targets, name, say)

@@ -18,7 +18,7 @@ from stopset.effects import REFERENCE_TEMPERATURE, get
 from stopset.errors import OutputError
 from stopset.fmu.ctext import array, quoted
 from stopset.fmu.laws import Laws, laws_of
-from stopset.fmu.stops import controlled, stop_data
+from stopset.fmu.stops import stop_data
 from stopset.fmu.variables import Variable, Variables
 from stopset.reach.flowpipe import torque_set
 from stopset.reach.nonlinear import FAR, dynamics
@@ -49,6 +49,7 @@ PROOF = (
     "local",
     "momentum",
     "moving",
+    "path",
     "pulls",
     "ramp",
     "related",
@@ -88,6 +89,7 @@ FMI_HEADERS = (
 MOST_PREDICTIONS = 1500  # rows of the comparison, as `stopset.monitor.watch`
 GROUPS_ALWAYS = ("EFFECT", "INERTIA", "INDICATOR", "MEMORY", "MEMORY_RATE", "MEMORY_START")
 CONTROLLED = ("STOP1_NOMINAL", "STOP1_GUARANTEED", "STOP2")  # categories that only a model with a ramp has
+ON_PATH = "PATH_STOP"  # and one that only a unit with a path has
 KINDS = {"independent": "KIND_TIME", "input": "KIND_INPUT", "output": "KIND_OUTPUT", "local": "KIND_LOCAL"}
 
 
@@ -101,7 +103,7 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
             seen.append(v.group)
             prefix = "VR" if v.kind == "Real" else "IX"
             lines.append(f"#define {prefix}_{v.group} {variables.first(v.group)}")
-    for category in CONTROLLED:
+    for category in (*CONTROLLED, ON_PATH):
         if f"{category}_TIME" not in seen:
             lines += [f"#define VR_{category}_TIME N_REAL", f"#define IX_{category}_CERTIFIED N_BOOL"]
     for group in GROUPS_ALWAYS:
@@ -131,7 +133,7 @@ def _sizes(model: Model, variables: Variables, laws: Laws) -> dict[str, int]:
         "ROOM": lib.stopset_along_room(struct, steps) if paths else lib.stopset_ahead_room(struct, 0),
         "HAS_DIRECTION": int(laws.direction), "HAS_INDICATORS": int(variables.count("INDICATOR") > 0), "AGES": steps + 1,
         "STRIDE": stride, "PREDICTIONS": steps // stride + 1, "N_TORQUES": model.n + generators,
-        "N_STOPS": 1 if controlled(model) is None else 1 + len(CONTROLLED),
+        "N_STOPS": len(variables.categories), "HAS_PATH": int(variables.path is not None),
     }  # fmt: skip
 
 
@@ -195,7 +197,7 @@ def _flags(model: Model) -> dict[str, bool]:
 
 
 def _data(model: Model, variables: Variables, laws: Laws, token: str) -> str:
-    stop = stop_data(model)
+    stop = stop_data(model, variables.path)
     rows = [f"    .{k} = {array(v)}," for k, v in (_numbers(model) | stop.numbers).items()]
     rows += [f"    .{k} = {int(v)}," for k, v in (_flags(model) | {"has_brakes": not stop.refusal}).items()]
     rows += [f"    .{k} = {text}," for k, text in laws.fields.items()]

@@ -15,6 +15,7 @@ from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.compiled import ramp_fields
 from stopset.reach.stops.friction import torque_fields
 from stopset.reach.stops.laws import BoundLaw
+from stopset.reach.stops.path import Path, path_fields
 from stopset.reach.stops.ramp import Ramp, ramp_of
 from stopset.reach.stops.setting import Setting
 from stopset.types import Array
@@ -62,8 +63,8 @@ class StopData:
     refusal: str
 
 
-def stop_data(model: Model) -> StopData:
-    """Everything about a model's stops that the FMU carries."""
+def stop_data(model: Model, path: Path | None = None) -> StopData:
+    """Everything about a model's stops that the FMU carries, and those along a ``path``."""
     refusal, brakes, d, limit = stop_refusal(model), brakes_of(model), model.domain, model.robot.q_limit
     n = model.n
     numbers = _nominal(brakes, n) | _nominal_ramp(model) | {
@@ -72,13 +73,13 @@ def stop_data(model: Model) -> StopData:
     }  # fmt: skip
     names = ("stop_centre", "stop_radius", "truth_centre", "truth_radius", "noise_lo", "noise_hi")
     if refusal:
-        none = "const StopsetStops stopset_stops = {0};\nconst StopsetRamp stopset_ramp = {0};\n"
+        none = "const StopsetStops stopset_stops = {0};\nconst StopsetRamp stopset_ramp = {0};\n" + NO_PATH
         return StopData(numbers | dict.fromkeys(names, np.zeros(2 * n)), none, refusal)
     setting = bounds_of(model).setting
     assert setting is not None
     start, truth, noise = setting.start, setting.truth, setting.noise
     values = (start.centre, start.radius, truth.centre, truth.radius, noise.lo, noise.hi)
-    definition = _definition(setting) + _ramp_definition(setting, ramp_of(model))
+    definition = _definition(setting) + _ramp_definition(setting, ramp_of(model)) + _path_definition(setting, path)
     return StopData(numbers | dict(zip(names, values, strict=True)), definition, "")
 
 
@@ -110,6 +111,22 @@ def _ramp_definition(setting: Setting, ramp: Ramp | None) -> str:
     lines = [f"static const double ramp_{k}[] = {array(x)};" for k, x in arrays.items()]
     fields = [f".{k} = ramp_{k}" for k in arrays] + [f".{k} = {array(x)}" for k, x in numbers.items()]
     return "\n".join(lines) + f"\nconst StopsetRamp stopset_ramp = {{{', '.join(fields)}}};\n"
+
+
+NO_PATH = "const StopsetPath stopset_path = {0};\n"
+
+
+def _path_definition(setting: Setting, path: Path | None) -> str:
+    """``stopset_path`` and its arrays; every state on the way has to lie in the model's domain."""
+    if path is None:
+        return NO_PATH
+    d = setting.model.domain
+    arrays = path_fields(setting, path) | {
+        "seen_lo": np.concatenate([d.q.lo, d.dq.lo]) - EDGE, "seen_hi": np.concatenate([d.q.hi, d.dq.hi]) + EDGE,
+    }  # fmt: skip
+    lines = [f"static const double path_{k}[] = {array(np.ravel(x))};" for k, x in arrays.items()]
+    fields = [f".pieces = {len(path.coefficient)}", *(f".{k} = path_{k}" for k in arrays)]
+    return "\n".join(lines) + f"\nconst StopsetPath stopset_path = {{{', '.join(fields)}}};\n"
 
 
 def _nominal(brakes: Brakes | None, n: int) -> dict[str, Array]:

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.effects import REFERENCE_TEMPERATURE
+from stopset.errors import NotCovered
 from stopset.fmu.laws import EffectParameter, effect_parameters, laws_of, remembered
 from stopset.fmu.stops import controlled, ramp_time_of
 from stopset.reach.stops.brakes import brakes_of
+from stopset.reach.stops.path import Path
 from stopset.reach.stops.payload import weighed
 
 VariableKind = Literal["Real", "Integer", "Boolean"]
@@ -67,6 +69,8 @@ class Variables:
     viscous_orders: int
     arrays: tuple[JointArray, ...]
     clocks: bool
+    categories: tuple[StopCategory, ...]
+    path: Path | None
 
     def __iter__(self) -> Iterator[Variable]:
         return iter(self.all)
@@ -130,6 +134,12 @@ def _inputs(m: Model) -> list[Variable]:
     ]
 
 
+_ON_PATH = (
+    Variable("path_row", "PATH_ROW", "Real", "input", "1", "row of the path where the arm is, a fraction too", 0.0),
+    Variable("path_rate", "PATH_RATE", "Real", "input", "1/s", "rows of the path passed per second; 0: no path is followed", 0.0),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class StopCategory:
     """Names of a category's outputs begin with ``stem``, those of the tool with ``tool``; ``what`` kind of stop in words."""
@@ -147,9 +157,19 @@ CONTROLLED = (
 )
 
 
-def categories(m: Model) -> tuple[StopCategory, ...]:
-    """The kinds of stop that the unit has outputs of."""
-    return (POWER_OFF,) if controlled(m) is None else (POWER_OFF, *CONTROLLED)
+ON_PATH = StopCategory("path_stop", "tcp_path_stop", "a STOP 1 that keeps to the path from its row `path_row` on")
+
+
+def categories(m: Model, path: Path | None = None) -> tuple[StopCategory, ...]:
+    """The kinds of stop that the unit has outputs of. Raises `NotCovered` for a path and a model without a ramp."""
+    if controlled(m) is None:
+        if path is not None:
+            raise NotCovered(
+                "a path, and the model bounds no controlled stop; expected a ramp and brakes: identify it with stop1 recordings and "
+                "brakes, or leave the path out"
+            )
+        return (POWER_OFF,)
+    return (POWER_OFF, *CONTROLLED, *(() if path is None else (ON_PATH,)))
 
 
 def _stop_outputs(m: Model, c: StopCategory) -> list[Variable]:
@@ -170,7 +190,7 @@ def _stop_outputs(m: Model, c: StopCategory) -> list[Variable]:
     ]  # fmt: skip
 
 
-def _outputs(m: Model) -> list[Variable]:
+def _outputs(m: Model, kinds: Sequence[StopCategory]) -> list[Variable]:
     out = [
         *_joints(m, _real("q", "output", "rad", "position, {}")),
         *_joints(m, replace(_real("dq", "output", "rad/s", "velocity, {}"), derivative="q")),
@@ -180,7 +200,7 @@ def _outputs(m: Model) -> list[Variable]:
         *_joints(m, _real("dq_lo", "output", "rad/s", "lower bound of the measured velocity, {}")),
         *_joints(m, _real("dq_hi", "output", "rad/s", "upper bound of the measured velocity, {}")),
     ]
-    for c in categories(m):
+    for c in kinds:
         out += _stop_outputs(m, c)
     out.append(Variable("age", "AGE", "Real", "output", "s", "age of the prediction that the bounds belong to"))
     for r in remembered(m):
@@ -247,7 +267,7 @@ def _physics(m: Model, effects: Sequence[EffectParameter]) -> list[Variable]:
     return out
 
 
-def _switches(m: Model) -> list[Variable]:
+def _switches(m: Model, kinds: Sequence[StopCategory]) -> list[Variable]:
     """Integers and booleans: (name, causality, description, start)."""
     every = "steps from one computation of the stop bounds to the next; 1: of every state that is read, 0: only when asked for"
     integers: tuple[tuple[str, Causality, str, int | None], ...] = (
@@ -262,10 +282,7 @@ def _switches(m: Model) -> list[Variable]:
         ("evaluate_stop", "input", "compute the stop bounds of exactly this state", False),
         ("conformant", "output", "measured inputs inside the bounds; false also where there is no verdict", None),
         ("covered", "output", "whether the bounds were tested here: domain, horizon, parameters as identified", None),
-        *(
-            (f"{c.stem}_certified", "output", f"whether the bounds of {c.what} are proven for this state", None)
-            for c in categories(m)
-        ),
+        *((f"{c.stem}_certified", "output", f"whether the bounds of {c.what} are proven for this state", None) for c in kinds),
         *((("ss1_monitored", "parameter", monitored, braking.monitored),) if braking is not None else ()),
         ("restart", "parameter", "predict anew from the measured state when the horizon is over", False),
     )
@@ -280,12 +297,20 @@ def _switches(m: Model) -> list[Variable]:
     return out
 
 
-def variables(model: Model, *, clocks: bool = False) -> Variables:
-    """The variables of a model's FMU; ``clocks``: whether those of FMI 3 are said to be there."""
+def variables(model: Model, *, clocks: bool = False, path: Path | None = None) -> Variables:
+    """The variables of a model's FMU; ``clocks``: whether those of FMI 3 are said to be there; ``path``: along which stops are bounded."""
+    kinds = categories(model, path)
     effects = effect_parameters(model)
     real = [Variable("time", "TIME", "Real", "independent", "s", "time")]
-    real += [*_inputs(model), *_outputs(model), *_conditions(model), *_physics(model, effects)]
-    return Variables((*real, *_switches(model)), effects, viscous_orders(model), _arrays(model, real), clocks)
+    real += [
+        *_inputs(model),
+        *(_ON_PATH if path is not None else ()),
+        *_outputs(model, kinds),
+        *_conditions(model),
+        *_physics(model, effects),
+    ]
+    scalars = (*real, *_switches(model, kinds))
+    return Variables(scalars, effects, viscous_orders(model), _arrays(model, real), clocks, kinds, path)
 
 
 def _arrays(m: Model, scalars: Sequence[Variable]) -> tuple[JointArray, ...]:

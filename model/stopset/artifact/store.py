@@ -25,6 +25,7 @@ from stopset.robot.arm import Arm, robot_of
 from stopset.sets import Box
 
 FORMAT = "stopset model"
+MOST_STEPS = 100_000  # of a horizon
 FIRST_SCHEMA, LAGS, ARM = (
     1,
     3,
@@ -171,6 +172,8 @@ def model_of(data: bytes, path: str | Path, reader: Reader | None = None) -> Mod
         raise ModelFileError(f"{p} is damaged: not JSON at line {e.lineno}; restore it or identify again") from e
     except RecursionError as e:
         raise ModelFileError(f"{p} is not a stopset model file: its JSON is nested without end; give the right file") from e
+    except ValueError as e:  # a number of more digits than Python takes
+        raise ModelFileError(f"{p} is not a stopset model file ({e}); give the right file") from e
     if not isinstance(body, dict) or body.get("format") != FORMAT:
         raise ModelFileError(f'{p} is not a stopset model file; expected JSON with "format": "{FORMAT}"')
     if body.get("schema") not in range(FIRST_SCHEMA, SCHEMA_VERSION + 1):
@@ -178,7 +181,11 @@ def model_of(data: bytes, path: str | Path, reader: Reader | None = None) -> Mod
             f"{p} has schema {body.get('schema')!r}, this stopset reads {FIRST_SCHEMA} to {SCHEMA_VERSION}; identify again or "
             "match versions"
         )
-    if body.get("sha256") != _digest(body):
+    try:
+        whole = body.get("sha256") == _digest(body)
+    except UnicodeEncodeError:  # half a character, which nothing that writes model files leaves
+        whole = False
+    if not whole:
         raise ModelFileError(f"{p} is damaged: its content does not match its SHA-256; restore it or identify again")
     content = {k: v for k, v in body.items() if k not in ("format", "schema", "units")}
     if body["schema"] < ARM and reader is None:
@@ -192,7 +199,7 @@ def model_of(data: bytes, path: str | Path, reader: Reader | None = None) -> Mod
         if body["schema"] < LAGS:
             _own_places(content.get("brakes"))
         model = _build(Model, content, "model")
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RobotError) as e:
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RobotError) as e:
         raise ModelFileError(f"{p} cannot be used ({type(e).__name__}: {e}); identify again") from e
     assert isinstance(model, Model)
     _check_shapes(model, p)
@@ -230,7 +237,7 @@ def _check_shapes(m: Model, path: Path) -> None:
             ("brakes", m.brakes is None or {m.brakes.torque.dim, m.brakes.delay.dim, m.brakes.rise.dim} == {n}),
             ("brakes.lag", m.brakes is None or m.brakes.lag is None or m.brakes.lag.shape == (n,)),
             ("effects", all(f.joint is None or set(f.joint.split("+")) <= set(m.joints) for f in m.effects)),
-            ("domain", m.domain.q.dim == n and m.domain.dq.dim == n and m.domain.u.dim == n),
+            ("domain", {x.dim for x in (m.domain.q, m.domain.dq, m.domain.u, m.domain.temp) if x is not None} == {n}),
             *((f"sets.{k}", s.X0.dim == 2 * n and s.U.dim == n and s.V.dim == 2 * n) for k, s in m.sets.items()),
             *((f"sets.{k}.zonotope", _fits(s, n)) for k, s in m.sets.items()),
             ("sets.powered", "powered" in m.sets),
@@ -239,3 +246,21 @@ def _check_shapes(m: Model, path: Path) -> None:
     ]
     if wrong:
         raise ModelFileError(f"{path}: {', '.join(wrong)} does not fit the robot's {n} joints; identify again")
+    _check_numbers(m, path)
+
+
+def _check_numbers(m: Model, path: Path) -> None:
+    """A tube with a hole where a number is missing would hold nothing against a sample."""
+    a, chain = m.abstraction, m.robot.chain
+    numbers = {
+        "rotor": m.rotor, "robot.pi": m.robot.pi, "robot.arm.R": chain.R, "robot.arm.p": chain.p, "robot.arm.axis": chain.axis,
+        "robot.arm.tip": m.robot.tip, "abstraction.Minv": a.Minv, "abstraction.viscous": a.viscous, "abstraction.offset": a.offset,
+        "abstraction.standstill": a.standstill, "domain.payload": np.array(m.domain.payload),
+    }  # fmt: skip
+    wrong = [name for name, x in numbers.items() if not np.isfinite(x).all()]
+    limits = {"robot.arm.q_limit": m.robot.q_limit, "robot.arm.dq_limit": m.robot.dq_limit}  # infinite where there is none
+    wrong += [name for name, x in limits.items() if np.isnan(x).any()]
+    wrong += [f"effects {f.label}" for f in m.effects if not all(math.isfinite(x) for x in f.values.values())]
+    wrong += [f"sets.{k}" for k, s in m.sets.items() if not (0.0 < s.dt <= s.horizon <= MOST_STEPS * s.dt < math.inf)]
+    if wrong:
+        raise ModelFileError(f"{path}: {', '.join(wrong)} holds what is no number there; restore it or identify again")

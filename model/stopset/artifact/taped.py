@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,9 @@ from stopset.effects.registry import get
 from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.ring import Tape
+from stopset.robot import Robot
 from stopset.robot.rigid import torques
 from stopset.types import Array
-
-if TYPE_CHECKING:
-    from stopset.artifact.inputs import InputMap
 
 # numbers of the signals a law may look at, in the order of the core's inputs.h; pairs of tilt, ten of tip, then the states
 SIGNALS = (
@@ -118,9 +116,28 @@ def places(f: Fitted, effect: Effect, joints: Sequence[str]) -> list[tuple[int, 
     return [(i, k), (k, i)]
 
 
+class Compensation(Protocol):
+    """What is put on tape; see `stopset.artifact.inputs.InputMap`, which is one."""
+
+    @property
+    def robot(self) -> Robot: ...
+    @property
+    def effects(self) -> tuple[Fitted, ...]: ...
+    @property
+    def effort(self) -> str: ...
+    @property
+    def gain(self) -> Array: ...
+    @property
+    def offset(self) -> Array: ...
+    @property
+    def standstill(self) -> Array: ...
+    @property
+    def swift(self) -> bool: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Taped:
-    """``StopsetInputs`` of an `InputMap`; ``first``: column of the first state of each effect with memory, by its place."""
+    """``StopsetInputs`` of a `Compensation`; ``first``: column of the first state of each effect with memory, by its place."""
 
     struct: Any
     pinned: Pinned
@@ -129,7 +146,7 @@ class Taped:
     uses_dtau: bool
 
     @classmethod
-    def of(cls, m: InputMap) -> Taped:
+    def of(cls, m: Compensation) -> Taped:
         """Raises `EffectError` for a law that cannot be taken apart."""
         pinned, laws, first, columns, needs = Pinned([]), [], {}, 0, set()
         for k, f in enumerate(m.effects):
@@ -157,8 +174,8 @@ class Taped:
         pinned.held += [table]
         return cls(struct, pinned, first, columns, "dtau" in needs)
 
-    def __call__(self, m: InputMap, samples: Samples, tau: Array, memories: Mapping[int, tuple[Array, ...]]) -> Array:
-        """``u`` (N, n) [N m], see `InputMap.__call__`."""
+    def __call__(self, m: Compensation, samples: Samples, tau: Array, memories: Mapping[int, tuple[Array, ...]]) -> Array:
+        """``u`` (N, n) [N m], see `stopset.artifact.inputs.InputMap.__call__`."""
         n, q, dq, temp, t = m.robot.n, samples.q, samples.dq, samples.temp, samples.t
         if q.shape != dq.shape or q.shape != tau.shape or q.shape[1:] != (n,) or (temp is not None and temp.shape != q.shape):
             raise ValueError(f"samples of shapes {q.shape}, {dq.shape}, {tau.shape} for {n} joints; expected one shape (N, {n})")
@@ -176,10 +193,10 @@ class Taped:
         return u
 
 
-_recent: deque[tuple[InputMap, Taped]] = deque(maxlen=8)
+_recent: deque[tuple[Compensation, Taped]] = deque(maxlen=8)
 
 
-def taped(m: InputMap) -> Taped:
+def taped(m: Compensation) -> Taped:
     """The `Taped` of a map, recorded once."""
     for seen, it in tuple(_recent):  # threads ask too
         if seen is m:

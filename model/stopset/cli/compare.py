@@ -40,7 +40,7 @@ def _export(model: Model, found: Comparison, args: argparse.Namespace) -> None:
     """Write the recording asked for, or the worst. Raises `RecordingError`, `OutputError`."""
     from stopset.errors import RecordingError
     from stopset.offline.compare.mcap_file import save_mcap
-    from stopset.offline.workbench.scene import listed, scene
+    from stopset.offline.compare.scene import listed, scene
 
     label = args.recording or listed(found)[0]["label"]
     drawn = scene(model, found, args.data, label)
@@ -64,8 +64,8 @@ def _over(model: Model, found: Comparison) -> str:
 def run(args: argparse.Namespace) -> int:
     """Compare; exit code 1 when a recording leaves the sets."""
     from stopset.offline.compare.compare import answer, compare
-    from stopset.offline.compare.tightness import table
     from stopset.offline.compare.verdict import by_failure, verdict
+    from stopset.offline.conform.tightness import table
     from stopset.offline.description.older import load_model
 
     check_outputs(args.json, args.report, args.mcap)

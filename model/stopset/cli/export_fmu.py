@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_output_options, check_outputs, path_rows, say, write_json
 from stopset.cli.steps import steps
 
 HELP = "write the model as an FMU (FMI 2.0 or 3.0) that runs without Python"
@@ -22,6 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin; may be repeated (default: all)",
     )
+    parser.add_argument(
+        "--path",
+        type=Path,
+        metavar="CSV",
+        help="bounds of a STOP 1 that stays on the path through these rows of angles [rad] too",
+    )
     parser.add_argument("--clocks", action="store_true", help="FMI 3 clocks that ask for a stop, for importers that know clocks")
     parser.add_argument("--source-only", action="store_true", help="no libraries: whoever imports it compiles its sources")
     parser.add_argument(
@@ -37,13 +43,15 @@ def run(args: argparse.Namespace) -> int:
     from stopset.fmu.build import chosen
     from stopset.fmu.stops import stop_refusal
     from stopset.offline.description.older import load_model
+    from stopset.reach.stops.path import Path as StopPath
 
     check_outputs(args.out, args.json, args.report)
     if args.out.suffix != ".fmu":
         raise OutputError(f"--out {args.out}: importers know an FMU by its name; expected one ending in .fmu: add it")
     platforms = [] if args.source_only else [p.name for p in chosen(args.platform)]
     model = load_model(args.model)
-    contents = Contents(args.fmi, args.platform or (), args.source_only, not args.no_reference, args.clocks)
+    path = None if args.path is None else StopPath.through(path_rows(args.path, model.n))
+    contents = Contents(args.fmi, args.platform or (), args.source_only, not args.no_reference, args.clocks, path)
     with steps("export-fmu", quiet=args.quiet) as progress:
         target = export(model, args.out, contents, progress)
     what = "sources alone" if args.source_only else ", ".join(platforms)
@@ -66,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         page = Page(f"{model.robot.name} as FMU", model)
         page.text(f"{target.name}: FMI {args.fmi}.0, co-simulation and model exchange, {what}.")
         page.text(f"Made from the model with SHA-256 {model.sha256}. {model.guarantee.text}")
-        rows = [(v.name, v.causality, v.unit, v.start, v.lo, v.hi, v.description) for v in variables(model)]
+        rows = [(v.name, v.causality, v.unit, v.start, v.lo, v.hi, v.description) for v in variables(model, path=path)]
         page.table(("variable", "causality", "unit", "start", "least", "largest", "what it is"), rows)
         page.save(args.report)
         say(f"report {args.report}")

@@ -144,7 +144,7 @@ def _compared(args: argparse.Namespace, model: Model) -> None:
 
 def verdict(found: Identification, *, accepted: bool) -> int:
     """Exit code: 1 for sets that enclose everything and say nothing, unless they are accepted."""
-    from stopset.offline.compare.tightness import LIMIT
+    from stopset.offline.conform.tightness import LIMIT
 
     if not (found.tightness.too_wide() or found.absurd):
         return 0
@@ -219,9 +219,9 @@ def _updated(args: argparse.Namespace, progress: Progress) -> Identification:
 
 def summary(found: Identification) -> str:
     """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
-    from stopset.offline.compare.tightness import table
     from stopset.offline.conform.bands import narrower
     from stopset.offline.conform.linear_sets import BOX
+    from stopset.offline.conform.tightness import table
 
     m, c = found.model, found.conformance
     s = m.powered

@@ -92,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[str], Any]:
+    from stopset.cli.common import path_rows
     from stopset.cli.steps import steps
     from stopset.errors import NotCovered
     from stopset.offline.stops.table import Question, along_path, at_pose, stop_table, top_speed
@@ -123,7 +124,7 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
             raise NotCovered(
                 f"--path with --category {args.category[0]}; expected 1, the stop that keeps to the path: leave it out"
             )
-        rows, bounds = along_path(model, _rows(args.path, model.n), args.path_start or 0.0, args.path_rate, question)
+        rows, bounds = along_path(model, path_rows(args.path, model.n), args.path_start or 0.0, args.path_rate, question)
         return rows, bounds["1"].assumptions, question
     if args.path_rate is not None or args.path_start is not None:
         raise NotCovered("--path-rate and --path-start belong to a path; give --path FILE.csv too")
@@ -149,39 +150,6 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     rows, bounds = at_pose(model, q, dq, question)
     assumptions = next((b.assumptions for b in bounds.values() if b.assumptions), ())
     return rows, assumptions, question
-
-
-def _rows(path: Path, n: int) -> Any:
-    """Rows of angles from a CSV file; a first line that is no numbers is a head."""
-    import csv
-
-    import numpy as np
-
-    from stopset.errors import NotCovered
-
-    try:
-        lines = [r for r in csv.reader(path.read_text().splitlines()) if r]
-    except (OSError, UnicodeDecodeError) as e:
-        raise NotCovered(f"{path} cannot be read ({e}); expected a CSV file with {n} angles a row") from e
-    try:
-        head = 0 if lines and all(_is_number(x) for x in lines[0]) else 1
-        values = [[float(x) for x in r] for r in lines[head:]]
-    except ValueError as e:
-        raise NotCovered(
-            f"{path} holds rows that are not {n} numbers ({e}); expected {n} angles [rad] a row: give only these"
-        ) from e
-    wrong = next((r for r in values if len(r) != n), None)
-    if wrong is not None:
-        raise NotCovered(f"{path} holds a row of {len(wrong)} numbers; expected {n} angles [rad] a row: give one for every joint")
-    return np.array(values).reshape(-1, n)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _numbers(text: str, count: int, option: str) -> Any:

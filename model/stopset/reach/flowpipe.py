@@ -181,17 +181,3 @@ def between_samples(abstraction: Abstraction, dt: float, lo: Array, hi: Array, u
     a_max = speed @ drag.T + push
     out = np.hstack([a_max * dt**2 / 8.0, a_max * dt / 2.0]) * (1.0 + 2.0**-40)
     return np.minimum(lo[:-1], lo[1:]) - out, np.maximum(hi[:-1], hi[1:]) + out
-
-
-def predict(abstraction: Abstraction, dt: float, x0: Array, u: Array) -> Array:
-    """Nominal prediction ``x*`` (N, 2n) from ``x0`` (2n,) under inputs ``u`` (N, n) held over each step."""
-    if not abstraction.linear:
-        from stopset.reach.nonlinear import nominal  # which rests on this module
-
-        path: Array = nominal(abstraction, x0[None], u[None, :-1], dt)[0]
-        return path
-    Ad, Bd = discretise(abstraction, dt)
-    out = np.empty((u.shape[0], x0.shape[0]))
-    out[0] = x0
-    lib.stopset_predict(abstraction.n, view(Ad), view(Bd), len(out), view(given(u)), view(out))
-    return out

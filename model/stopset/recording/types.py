@@ -81,6 +81,13 @@ class Recording:
     def label(self) -> str:
         return f"{self.phase} suite {self.suite} trial {self.trial}{_of_file(self.file)}"
 
+    @property
+    def stop_requested(self) -> int | None:
+        """Index of the first sample of the stop request; None where the recording does not hold it."""
+        if self.stop_trigger is None or not np.any(self.stop_trigger):
+            return None
+        return int(np.argmax(self.stop_trigger))
+
     def cut(self, lo: int, hi: int) -> Recording:
         """Samples ``lo`` up to ``hi`` (exclusive) of every signal."""
 

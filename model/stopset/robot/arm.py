@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stopset.errors import RobotError
 from stopset.robot.drives import Drive, drives_of, gravity_of
 from stopset.robot.rigid import Chain, link_frames
 from stopset.types import Array
@@ -40,6 +41,16 @@ class Arm:
     capsules: Array
     bare: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.joints)
+        shapes = {
+            "R": (n, 3, 3), "p": (n, 3), "axis": (n, 3), "pi": (n, 10), "q_limit": (n, 2), "dq_limit": (n,), "effort": (n,),
+            "tip": (3,), "capsules": (n, 7),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            if (seen := getattr(self, name).shape) != shape:
+                raise RobotError(f"{name} of the arm {self.name} has shape {seen}; expected {shape} for {n} joints: read it anew")
 
 
 @dataclass(frozen=True, slots=True)

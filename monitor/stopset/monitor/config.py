@@ -306,7 +306,7 @@ def load_config(path: str | Path) -> Config:
         raw = tomllib.loads(text)
     except FileNotFoundError as e:
         raise ConfigError(f"{p}: no such file; expected a TOML configuration: see deploy/stopset.toml.example") from e
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
+    except (OSError, ValueError, RecursionError) as e:
         raise ConfigError(f"{p} is not readable TOML ({e}); mend it") from e
     config: Config = _build(Config, raw, "")
     if sum(x is not None for x in (config.bus, config.joint_states, config.rtde)) != 1:

@@ -81,7 +81,7 @@ def load_profile(where: str | Path) -> Profile:
     except FileNotFoundError as e:
         shipped = ", ".join(shipped_profiles())
         raise BusError(f"bus profile {where}: no such file; expected a path or one of {shipped}") from e
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as e:
+    except (OSError, ValueError, RecursionError) as e:
         raise BusError(f"bus profile {path} is not readable TOML ({e}); mend it") from e
     try:
         return _profile(raw, str(where), path)

@@ -7,17 +7,27 @@ import math
 import os
 import resource
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from stopset.artifact import Model
+from stopset.monitor.along import WatchAlong
 from stopset.monitor.certificates import Numbers
+from stopset.monitor.clock import Clock
+from stopset.monitor.config import Config
+from stopset.monitor.evidence.recorder import Recorder
+from stopset.monitor.latch import Latch
 from stopset.monitor.layout import Flag, State
+from stopset.monitor.orders import Orders
 from stopset.monitor.payload import assumed, published
-from stopset.monitor.verdict import Conformance
-
-if TYPE_CHECKING:
-    from stopset.monitor.daemon import Daemon
+from stopset.monitor.publisher import Publisher
+from stopset.monitor.realtime import Granted
+from stopset.monitor.sample import Sample
+from stopset.monitor.source import SampleSource
+from stopset.monitor.stopdesk import StopDesk
+from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.watch import Watch
 
 NOTICE = "Monitoring aid, not a safety function: bounds hold only for the identified model; stop distances for the risk "
 NOTICE += "assessment must be measured (ISO 10218-1, ISO 13855)."
@@ -46,6 +56,28 @@ class RunCounts:
     late: int = 0
     delays: list[float] = field(default_factory=list)
     busy: list[float] = field(default_factory=list)
+
+
+class Monitored(Protocol):
+    """What is reported of: the parts of a `stopset.monitor.daemon.Daemon`, and where they have got to."""
+
+    config: Config
+    model: Model
+    watch: Watch | WatchAlong
+    source: SampleSource
+    desk: StopDesk
+    latch: Latch
+    orders: Orders
+    publisher: Publisher
+    recorder: Recorder | None
+    clock: Clock
+    granted: Granted
+    cycle_s: float
+    tally: RunCounts
+    sample: Sample | None
+    verdict: Verdict | None
+    margins: dict[str, Any] | None
+    override: dict[str, Any] | None
 
 
 def finite(x: float) -> float | None:
@@ -77,14 +109,14 @@ def _capsules(x: Numbers) -> list[list[float]] | None:
     return rows
 
 
-def _tube(d: Daemon) -> dict[str, list[float | None]] | None:
+def _tube(d: Monitored) -> dict[str, list[float | None]] | None:
     """Between which joint positions [rad] the predictions in force put the last sample."""
     found = None if d.sample is None or d.verdict is None or d.verdict.room is None else d.watch.tube(d.sample)
     n = d.model.n
     return None if found is None else {k: [finite(v) for v in x[:n]] for k, x in zip(("lo", "hi"), found, strict=True)}
 
 
-def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
+def twin(d: Monitored, turn: Turn) -> dict[str, Any]:
     """The binary message in words, with names."""
     v, s, joints, n = d.verdict, d.sample, d.model.joints, d.model.n
     room = None if v is None or v.room is None else {j: float(min(v.room[i], v.room[n + i])) for i, j in enumerate(joints)}
@@ -107,7 +139,7 @@ def twin(d: Daemon, turn: Turn) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def health(d: Daemon) -> dict[str, Any]:
+def health(d: Monitored) -> dict[str, Any]:
     """The loop, the bus, the process. Resets the timing window."""
     t = d.tally
     delays, busy = np.array(t.delays or [0.0]), np.array(t.busy or [0.0])
@@ -129,7 +161,7 @@ def health(d: Daemon) -> dict[str, Any]:
     return out
 
 
-def about(d: Daemon) -> dict[str, str]:
+def about(d: Monitored) -> dict[str, str]:
     """Whose words a file holds: arm, model, configuration, life."""
     c, m = d.config, d.model
     return {

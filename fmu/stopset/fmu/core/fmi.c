@@ -43,7 +43,9 @@ Instance *stopset_create(const char *name, const char *token, int co_simulation,
     }
     c->work = calloc(1, sizeof *c->work);
     c->spare = malloc(3 * sizeof *c->spare);
-    if (c->work && stopset_model.has_brakes) c->work->proof = malloc((size_t)stopset_stop_room(NJ) * sizeof(double));
+    int64_t proofs = stopset_stop_room(NJ);
+    if (HAS_PATH && stopset_path_room(NJ) > proofs) proofs = stopset_path_room(NJ);
+    if (c->work && stopset_model.has_brakes) c->work->proof = malloc((size_t)proofs * sizeof(double));
     if (!c->work || !c->spare || (stopset_model.has_brakes && !c->work->proof)) {
         stopset_fail(c, "instantiate", "no memory left; free instances that are no longer needed");
         stopset_free(c);

@@ -35,6 +35,9 @@ static int inside(const StopsetState *s, int category) {
     const StopsetCertificate *c = &s->certificate[category];
     const double *q = state_of(s, 0), *dq = state_of(s, 1);
     if (!c->made) return 0;
+#if HAS_PATH
+    if (category == STOP_PATH && !(c->row == s->r[VR_PATH_ROW] && c->rate == s->r[VR_PATH_RATE])) return 0;
+#endif
     for (int i = 0; i < NJ; i++)
         if (!(fabs(q[i] - c->q[i]) <= c->q_radius[i] && fabs(dq[i] - c->dq[i]) <= c->dq_radius[i])) return 0;
     return 1;
@@ -63,6 +66,25 @@ static void box(const StopsetState *s, int exact, StopsetCertificate *c) {
     }
 }
 
+#if HAS_PATH
+/* A path stop begins where the path is, no farther from this state than a reading of an arm on it can be. */
+static int on_the_path(const StopsetState *s, const StopsetPassed *p) {
+    const double *q = state_of(s, 0), *dq = state_of(s, 1);
+    for (int i = 0; i < NJ; i++) {
+        const double near = stopset_ramp.q_error[i] + stopset_path.noise[i], close = stopset_ramp.dq_error[i] + stopset_path.noise[NJ + i];
+        if (!(fabs(q[i] - p->q[i]) <= near && fabs(dq[i] - p->dq[i]) <= close)) return 0;
+    }
+    return 1;
+}
+
+static int bounded_on_path(const StopsetState *s, StopsetWork *w, const StopsetBound *out) {
+    StopsetPassed passed;
+    const double row = s->r[VR_PATH_ROW], rate = s->r[VR_PATH_RATE];
+    if (stopset_path_stop(&stopset_stops, &stopset_ramp, &stopset_path, row, rate, w->proof, &passed, out) != STOPSET_OK) return 0;
+    return on_the_path(s, &passed);
+}
+#endif
+
 #if N_STOPS > 1
 /* The model's ramp, with what the parameters say happens if it fails. */
 static StopsetRamp ramp_of(const StopsetState *s) {
@@ -75,6 +97,9 @@ static StopsetRamp ramp_of(const StopsetState *s) {
 
 static int bounded(const StopsetState *s, StopsetWork *w, int category, const double *q, const double *dq, const double *rq, const double *rdq,
                    const StopsetBound *out) {
+#if HAS_PATH
+    if (category == STOP_PATH) return bounded_on_path(s, w, out);
+#endif
     if (category == STOP_0) return stopset_power_off(&stopset_stops, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
 #if N_STOPS > 1
     const StopsetRamp ramp = ramp_of(s);
@@ -98,13 +123,17 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
     const StopsetBound out = {c->time, c->forward, c->back, c->speed, c->tool};
     const double *centre = start_of(category, 0), *radius = start_of(category, 1);
     double q[NJ], dq[NJ], rq[NJ], rdq[NJ];
-    box(s, exact, c);
+    box(s, exact || category == STOP_PATH, c); /* on a path there is no box: the bound is that of its row */
     for (int i = 0; i < NJ; i++) {
         q[i] = c->q[i] + centre[i];
         dq[i] = c->dq[i] + centre[NJ + i];
         rq[i] = radius[i] + c->q_radius[i];
         rdq[i] = radius[NJ + i] + c->dq_radius[i];
     }
+#if HAS_PATH
+    c->row = s->r[VR_PATH_ROW];
+    c->rate = s->r[VR_PATH_RATE];
+#endif
     c->proved = (uint8_t)bounded(s, w, category, q, dq, rq, rdq, &out);
     c->made = 1;
     c->exact = (uint8_t)exact;
@@ -113,8 +142,9 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
 }
 
 /* Where the outputs of a category begin: per joint time, angle, forward, back, then of the tool distance and speed, then the age. */
-static const unsigned first_of[] = {VR_STOP_TIME, VR_STOP1_NOMINAL_TIME, VR_STOP1_GUARANTEED_TIME, VR_STOP2_TIME};
-static const unsigned flag_of[] = {IX_STOP_CERTIFIED, IX_STOP1_NOMINAL_CERTIFIED, IX_STOP1_GUARANTEED_CERTIFIED, IX_STOP2_CERTIFIED};
+static const unsigned first_of[] = {VR_STOP_TIME, VR_STOP1_NOMINAL_TIME, VR_STOP1_GUARANTEED_TIME, VR_STOP2_TIME, VR_PATH_STOP_TIME};
+static const unsigned flag_of[] = {IX_STOP_CERTIFIED, IX_STOP1_NOMINAL_CERTIFIED, IX_STOP1_GUARANTEED_CERTIFIED, IX_STOP2_CERTIFIED,
+                                   IX_PATH_STOP_CERTIFIED};
 
 int stopset_stop_output(unsigned real) {
     for (int k = 0; k < N_STOPS; k++)
@@ -146,7 +176,7 @@ static void publish(StopsetState *s, int category, int proved) {
 
 /* Which categories speak of the stop that is asked for: 1 STOP 0, 2 STOP 1, working and failing, 3 STOP 2. */
 static int of_request(int category, int request) {
-    return request == 1 ? category == STOP_0 : request == 2 ? category == STOP_1 || category == STOP_1_FAILED : category == STOP_2;
+    return request == 1 ? category == STOP_0 : request == 2 ? category == STOP_1 || category == STOP_1_FAILED : category == STOP_2; /* a path is not what a request follows */
 }
 
 void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exact) {
@@ -155,7 +185,7 @@ void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exac
         return;
     }
     /* another ramp than the identified one is another controller */
-    const int speaks = believed(s) && (category == STOP_0 || s->r[VR_STOP1_TIME] == stopset_model.start_real[VR_STOP1_TIME]);
+    const int speaks = believed(s) && (category == STOP_0 || category == STOP_PATH || s->r[VR_STOP1_TIME] == stopset_model.start_real[VR_STOP1_TIME]);
     exact = exact || s->b[IX_EVALUATE_STOP] || s->i[IX_STOP_EVERY] == 1;
     if (speaks && due(s, category, exact)) certify(s, w, category, exact);
     publish(s, category, speaks && inside(s, category) && s->certificate[category].proved);

@@ -80,7 +80,8 @@ extern const char stopset_token[];
 extern const char stopset_refusal[]; /* why has_brakes is 0: no stop of this model is bounded */
 extern const StopsetStops stopset_stops; /* what bounds a stop; empty where none is bounded */
 extern const StopsetRamp stopset_ramp;   /* and a controlled one */
-enum { STOP_0, STOP_1, STOP_1_FAILED, STOP_2 }; /* the first N_STOPS of them have outputs */
+extern const StopsetPath stopset_path;   /* and one along a path, where HAS_PATH */
+enum { STOP_0, STOP_1, STOP_1_FAILED, STOP_2, STOP_PATH }; /* the first N_STOPS of them have outputs */
 
 /* One step's matrices, and with them those of its responses. */
 enum { STEP_ROOM = 2 * NX * NX + 2 * NX * N_TORQUES, RESPONSE_ROOM = N_TORQUES * 7 * NX + NX * NX };
@@ -111,7 +112,7 @@ typedef struct {
     double (*between)(void *who, double end);      /* told where the integrator has come to in a step until `end`, says when it ends [s] */
     void *who;
     int ends_at_rest;                              /* whether a step in which a stopping arm comes to rest ends there */
-    double *proof;                                 /* stopset_stop_room(NJ) numbers where stops are bounded */
+    double *proof;                                 /* room of the proofs, where stops are bounded */
 } StopsetWork;
 
 /* Predictions from past samples, as the monitor has them. */
@@ -135,7 +136,7 @@ typedef struct {
 
 /* A stop bound and the box of states that it holds for; `steps` since it was made. */
 typedef struct {
-    double q[NJ], dq[NJ], q_radius[NJ], dq_radius[NJ], time[NJ], forward[NJ], back[NJ], speed[NJ], tool[2], at;
+    double q[NJ], dq[NJ], q_radius[NJ], dq_radius[NJ], time[NJ], forward[NJ], back[NJ], speed[NJ], tool[2], at, row, rate;
     int32_t steps;
     uint8_t made, exact, proved;
 } StopsetCertificate;

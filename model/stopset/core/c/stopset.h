@@ -656,14 +656,13 @@ STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const double *q,
 /* Largest sqrt(v' M v) [(kg m^2)^1/2 rad/s] for speeds in a box (n,) and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
                                           const double *v_lo, const double *v_hi);
-/* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, for the directions in which
- * speeds within [v_lo, v_hi] point. */
+/* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, backward (w_lo) and forward (w_hi). */
 STOPSET_API int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
-                                     const double *B_lo, const double *v_lo, const double *v_hi, double *w);
-/* Bound of sqrt(v' M v) after h seconds from y on which no joint has more power per speed than w, speeds lie in [v_lo, v_hi] and no momentum is
- * larger than P, (n,) each. */
-STOPSET_API int stopset_energy_after(int n, double y, const double *w, const double *v_lo, const double *v_hi, const double *P, double h,
-                                     double *out);
+                                     const double *B_lo, double *w_lo, double *w_hi);
+/* Bound of sqrt(v' M v) after h seconds from y on which no joint has more power per speed than w_lo backward and w_hi forward, speeds lie in
+ * [v_lo, v_hi] and momenta in [p_lo, p_hi], (n,) each. */
+STOPSET_API int stopset_energy_after(int n, double y, const double *w_lo, const double *w_hi, const double *v_lo, const double *v_hi,
+                                     const double *p_lo, const double *p_hi, double h, double *out);
 /* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements
  * and speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the travel left (S, n) allows,
  * as in a tube. */
@@ -787,6 +786,42 @@ STOPSET_API int stopset_working_ramp(const StopsetStops *stops, const StopsetRam
 /* Of a ramp that fails in any way, from requests (n,) [rad, rad/s]: from every state in which power can then be taken. */
 STOPSET_API int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *ramp, const double *q, const double *dq,
                                     const double *q_radius, const double *dq_radius, double *work, const StopsetBound *out);
+
+/* ---- stops/path.c: STOP 1 along a programmed path q = p(s), a cubic between two knots */
+
+typedef struct {
+    int32_t pieces;
+    const double *knots;             /* (pieces + 1,) [1] s where pieces meet, growing from 0 */
+    const double *coefficient;       /* (pieces, n, 4) [rad] of 1, x, x^2, x^3 with x = s - knots[k] */
+    const double *noise;             /* (2n,) [rad], [rad/s] by which a reading of the state may be off */
+    const double *q_lo, *q_hi, *fastest; /* (n,) [rad], [rad/s] limits of the arm */
+    const double *seen_lo, *seen_hi; /* (2n,) [rad], [rad/s] where every state on the way has to lie; 0: anywhere */
+} StopsetPath;
+
+/* Why there is no stop on a path: the request comes too late on it; it leads beyond the arm's limits; it is too fast for the arm; a drive
+ * has no torque left beside friction; it cannot be stopped on; or only with more torque than a drive has between two knots; it
+ * leads through states not seen; nothing says when the arm rests; brakes do not surely hold it. */
+enum {
+    STOPSET_PATH_ENDS = 10, STOPSET_PATH_BEYOND, STOPSET_PATH_SPEED, STOPSET_PATH_WEAK, STOPSET_PATH_FAST, STOPSET_PATH_SHORT,
+    STOPSET_PATH_UNSEEN, STOPSET_PATH_UNSETTLED, STOPSET_PATH_FALLS
+};
+
+/* What a stop passes; s in rows of the path [1]. */
+typedef struct {
+    int64_t poses;
+    int32_t joint;          /* of a refusal, -1: none */
+    double begin, length;   /* where drives begin to brake; from the request to rest */
+    double time, room;      /* [s] until the ramp's end; [N m] least torque left */
+    double rate;            /* largest [1/s] */
+    double *s, *q, *dq;     /* (poses,), (poses, n) [rad], [rad/s], in `work` */
+} StopsetPassed;
+
+/* Numbers that `work` below has to hold. */
+STOPSET_API int64_t stopset_path_room(int n);
+/* The shortest stop from s [1] at `rate` [1/s] along the path within the drives' torque: `passed`, and bounds `out` of displacements (n,)
+ * [rad], speeds [rad/s], time [s] and tool [m, m/s]. 0: bounded; STOPSET_PATH_..: why not; from STOPSET_PATH_UNSEEN on both are filled all the same. */
+STOPSET_API int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetPath *path, double s, double rate,
+                                  double *work, StopsetPassed *passed, const StopsetBound *out);
 /* cffi end */
 
 

@@ -179,13 +179,15 @@ class StopBounds:
         extra = plant.coulomb_hi + plant.viscous_hi * start.fastest + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
         bodies = (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
         refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, start.dq)
-        margin = self.margin(q, q_radius)
         if refusal:
             return self._refused(category, refusal, q)
-        fallback = None
         if category == "2":
             after = (tube.t > 0)[:, None] * ramp.window
             tube = tube._replace(d_lo=tube.d_lo - after, d_hi=tube.d_hi + after)
+        end, half = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
+        margin = np.minimum(self.margin(q, q_radius), self.margin(q + end, q_radius + half))
+        fallback = None
+        if category == "2":
             fallback = self._fallback(q, q_radius, tube)
             then = "what that adds is told beside" if fallback else "for which no bound is proved here"
             assumptions = (
@@ -194,8 +196,6 @@ class StopBounds:
                 f"rad/s until then; the STOP 0 that follows: {then}",
             )
         else:
-            end, half = 0.5 * (tube.d_lo[-1] + tube.d_hi[-1]), 0.5 * (tube.d_hi[-1] - tube.d_lo[-1])
-            margin = np.minimum(margin, self.margin(q + end, q_radius + half))
             if margin.min() <= 0:
                 return self.refused_for(category, margin, q)
             early = early_cut(ramp, float(time.max()))

@@ -37,8 +37,8 @@ class CompiledStops:
 
     setting: Setting
     ramp: Ramp | None
-    _struct: Any
-    _ramp: Any
+    struct: Any  # StopsetStops
+    braking: Any  # StopsetRamp, or null
     _held: Any
     _work: Array
 
@@ -71,13 +71,13 @@ class CompiledStops:
         out = [np.empty(k) for k in (n, n, n, n, 2)]
         tail = (*(view(x) for x in box), view(self._work), ffi.new("StopsetBound *", tuple(view(x) for x in out)))
         if category == "0":
-            code = lib.stopset_power_off(self._struct, *tail)
+            code = lib.stopset_power_off(self.struct, *tail)
         elif self.ramp is None:
             return None
         elif category == "1 guaranteed":
-            code = lib.stopset_failed_ramp(self._struct, self._ramp, *tail)
+            code = lib.stopset_failed_ramp(self.struct, self.braking, *tail)
         else:
-            code = lib.stopset_working_ramp(self._struct, self._ramp, int(category == "2"), *tail)
+            code = lib.stopset_working_ramp(self.struct, self.braking, int(category == "2"), *tail)
         check(-min(code, 0))
         return None if code else Stopped(*out)
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.setting import Setting
-from stopset.reach.stops.split import halves
+from stopset.reach.stops.split import REWARD, halves
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, Tube
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, expected_stop, march_box
@@ -33,7 +33,6 @@ SLICES = 8  # of the monitored ramp, by when it is left
 NARROW = 0.35  # [rad/s] a box whose sides do no more harm is not the trouble: then brakes and rotors are cut instead
 # how many tubes are tried for a failed ramp while none comes to rest, and at all; then the kinetic energy bounds what is open
 TUBES, TABLE_TUBES, FAST_TUBES = (63, 320), (15, 160), (1, 1)  # for one state, in a table of hundreds, in a fast loop
-REWARD = 3  # more tubes for each that comes to rest: cutting then helps
 SLICE = 8  # one more for every further slice of a monitored ramp and so many of the first number
 ANGLE_WEIGHT = 3.0  # [1/s] harm of a wide angle against a wide speed: slopes of inertia and gravity, some 2 to 4 per rad
 

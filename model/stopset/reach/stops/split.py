@@ -6,6 +6,8 @@ The interval to cut next is the one whose uncertain impulse can do most harm to 
 
 from __future__ import annotations
 
+from heapq import heappop, heappush
+from itertools import count
 from typing import Protocol
 
 import numpy as np
@@ -15,9 +17,11 @@ from stopset.reach.stops.tube import OK, Plant, Tube
 from stopset.types import Array
 
 FIELDS = ("delay", "rise", "brake")
+TRIALS = 15  # tubes that are tried while none comes to rest
+REWARD = 3  # more for each that does: cutting then helps
 
 
-def _harm(plant: Plant, q: Array, lasts: float) -> Array:
+def harm_of(plant: Plant, q: Array, lasts: float) -> Array:
     """(4, n): speed change, in units of kinetic energy shared with other joints, by each interval."""
     M = expand(plant.chain, plant.pi, plant.pi_half, plant.rotor, q).M
     size = np.sqrt(np.diag(M))
@@ -37,7 +41,7 @@ def _harm(plant: Plant, q: Array, lasts: float) -> Array:
 
 def halves(plant: Plant, q: Array, lasts: float) -> tuple[Plant, Plant]:
     """The same arm with its most harmful interval cut in two; ``lasts``: [s] how long a stop takes, roughly."""
-    field, i = np.unravel_index(int(np.argmax(_harm(plant, q, lasts))), (4, plant.rotor.shape[0]))
+    field, i = np.unravel_index(int(np.argmax(harm_of(plant, q, lasts))), (4, plant.rotor.shape[0]))
     if field == 3:
         middle, half = plant.rotor, plant.rotor_half.copy()
         half[i] *= 0.5
@@ -61,18 +65,23 @@ class March(Protocol):
 def certify(march: March, plant: Plant, q: Array, lasts: float, pieces: int, *, last_resort: bool) -> list[Tube]:
     """Tubes that together hold every stop, cutting intervals where one tube does not come to rest.
 
-    At most ``pieces`` tubes are kept; where these do not suffice there is, as a
+    At most ``pieces`` tubes are kept, and no more tried than `TRIALS` and `REWARD` for each that came to rest: where the first ones
+    do not, the rest seldom does. The part that can do most harm is tried first. Where that does not suffice there is, as a
     ``last_resort``, one tube with the help of the kinetic energy, which is looser. If that fails too the only tube is not OK.
     """
-    todo: list[Plant] = [plant]
+    order = count()
+    todo: list[tuple[float, int, Plant]] = [(0.0, next(order), plant)]
     done: list[Tube] = []
+    tried = 0
     while todo:
-        part = todo.pop()
+        part = heappop(todo)[-1]
         tube = march(part, energetic=False)
+        tried += 1
         if tube.end == OK:
             done.append(tube)
-        elif len(todo) + len(done) + 2 > pieces:
+        elif len(todo) + len(done) + 2 > pieces or tried + len(todo) + 2 > TRIALS + REWARD * len(done):
             return [march(plant, energetic=True) if last_resort else tube]
         else:
-            todo.extend(halves(part, q, lasts))
+            for half in halves(part, q, lasts):
+                heappush(todo, (-float(harm_of(half, q, lasts).max()), next(order), half))
     return done

@@ -65,7 +65,7 @@ def stored_position(folder: Path) -> Array | None:
     """Where the arm was when the monitor was last at work [rad]; None if that is not known."""
     try:
         return np.array([float(x) for x in json.loads((folder / POSITION).read_text())["q"]])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.artifact import Abstraction
 from stopset.errors import StopsetError
-from stopset.offline.conform.program import STOP_TIME
+from stopset.offline.abstraction.metrics import STOP_TIME
 from stopset.reach.nonlinear import nominal
 from stopset.types import Array
 

@@ -10,11 +10,11 @@ import numpy as np
 from stopset.artifact import Abstraction
 from stopset.effects.base import Fitted
 from stopset.errors import RecordingError
+from stopset.offline.abstraction.grid import GRID, coarser
 from stopset.offline.abstraction.identified import Chosen, IdentifiedArm, best_order, candidates
+from stopset.offline.abstraction.nominal_part import NominalPart, fit_nominal, pairs_of
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.survey import Survey
-from stopset.offline.conform.nonlinear import GRID, coarser
-from stopset.offline.nominal.model import NominalPart, fit_nominal, pairs_of
 from stopset.recording import Recording
 from stopset.types import Array
 
@@ -47,7 +47,7 @@ def abstracted(run: Run, known: tuple[Fitted, ...], nominal: NominalPart) -> Nom
         note = f"{judged.note}; one trial has nothing held out, so this is the error on the trial it was fitted to"
     else:
         rest = replace(found, sample=tuple(r for r in found.sample if not held(r)))
-        half = fit_nominal(robot, meta, lambda: (r for r in run.trials() if not held(r)), rest, run.settings, known)
+        half = fit_nominal(replace(run, trials=lambda: (r for r in run.trials() if not held(r)), survey=rest), known)
         judged = _best(half, found, tuple(r for r in found.sample if held(r)), meta.effort, kind, orders)
         note = f"{judged.note} on trials held out of the fit"
     chosen = _best(nominal, found, found.sample, meta.effort, kind, (judged.abstraction.order,))

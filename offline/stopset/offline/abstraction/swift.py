@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from stopset.offline.abstraction.metrics import torque_error
+from stopset.offline.abstraction.nominal_part import NominalPart, pairs_of
 from stopset.offline.campaign.survey import Survey
-from stopset.offline.compare.metrics import torque_error
-from stopset.offline.nominal.model import NominalPart, pairs_of
 from stopset.types import Array
 
 LOWERS = 0.05  # share by which it must lower the torque error, in the (geometric) mean over joints

@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 
 from stopset.offline.brakes.bands import WIDEN, WIDENINGS, farther, hull
 from stopset.offline.brakes.judge import judge_stop1, pace_before
-from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import STILL, Ramp
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
@@ -119,7 +118,7 @@ def _fit_one(kind: str, r: Recording, usual: tuple[float, float] | None = None) 
 
 
 def _motion(r: Recording) -> tuple[Array, Array, Array]:
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     return r.t[k:] - r.t[k], r.dq[k:], r.dq[k]
 
@@ -144,7 +143,7 @@ def _settling(kind: str, train: Sequence[Recording], fits: Sequence[RampFit], ba
 
 def _tracking(kind: str, r: Recording, fit: RampFit) -> Array:
     """(2, n) largest error of angle and speed against the stop's own ramp."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     t, v, v0 = _motion(r)
     path_time, speeds = _shape(kind, t, v0, fit.control, fit.value, fit.pace)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.setting import Setting
 from stopset.recording import Recording
@@ -42,7 +41,7 @@ class Impulse:
 
 def impulses(setting: Setting, r: Recording, speed_noise: Array) -> list[Impulse | None]:
     """One curve per joint while it slides, None for joints that hardly moved; ``speed_noise`` (n,) [rad/s], one sigma."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     plant, n = setting.plant, setting.plant.rotor.shape[0]
     t, q, v = r.t[k:] - r.t[k], r.q[k:], r.dq[k:]
@@ -77,7 +76,7 @@ def impulses(setting: Setting, r: Recording, speed_noise: Array) -> list[Impulse
 
 def speed_error(setting: Setting, r: Recording, momentum: Array) -> Array:
     """(n,) [rad/s] by how much the arm behaves as if it had started faster than measured, for that much more ``momentum``."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     plant = setting.plant
     M = mass_matrix(plant.chain, plant.pi, r.q[k]) + np.diag(plant.rotor)

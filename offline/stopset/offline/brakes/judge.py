@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Guarantee, Model
 from stopset.offline.conform.guarantee import CONFIDENCE, clopper_pearson
-from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import Ramp, ramp_time, ramp_tube
 from stopset.reach.stops.setting import Setting, setting_of
 from stopset.reach.stops.start import Start
@@ -45,7 +44,7 @@ class StopVerdict:
 
 def stop0_tubes(setting: Setting, r: Recording, pieces: int = PIECES) -> list[Tube] | None:
     """Tubes that together hold a power-off stop from the state measured at the trigger; None without certificate."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     n, start = r.q.shape[1], setting.start
     q, dq = r.q[k] + start.centre[:n], r.dq[k] + start.centre[n:]
@@ -85,7 +84,7 @@ def judge_stop1(ramp: Ramp, noise: Box, stops: Sequence[Recording]) -> StopVerdi
 
 def pace_before(r: Recording) -> float | None:
     """Share of its speed [1/s] by which the arm's motion was changing at the request; None where it hardly moved."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     if k < BEFORE:
         return None
@@ -97,7 +96,7 @@ def pace_before(r: Recording) -> float | None:
 
 def stop1_tube(ramp: Ramp, noise: Box, r: Recording) -> Tube:
     """The ramp's bounds from the speeds measured at the request."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     n = r.dq.shape[1]
     return ramp_tube(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
@@ -106,7 +105,7 @@ def stop1_tube(ramp: Ramp, noise: Box, r: Recording) -> Tube:
 def first_still_moving(ramp: Ramp, noise: Box, r: Recording) -> tuple[int, float] | None:
     """Joint and time after the trigger [s] at which a controlled stop still moves though its bound says it rests; None if it never
     does, or nothing is said."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     n = r.dq.shape[1]
     rests = ramp_time(ramp, r.dq[k] - noise.hi[n:], r.dq[k] - noise.lo[n:])
@@ -122,7 +121,7 @@ def first_still_moving(ramp: Ramp, noise: Box, r: Recording) -> tuple[int, float
 
 def first_outside(tubes: Sequence[Tube], r: Recording, noise: Box) -> tuple[int, float] | None:
     """Joint and time after the trigger [s] at which a recorded stop first leaves the hull of ``tubes``; None if it never does."""
-    k = trigger_of(r)
+    k = r.stop_requested
     assert k is not None
     t, travel, dq = r.t[k:] - r.t[k], r.q[k:] - r.q[k], r.dq[k:]
     bad = ~inside(tubes, t, travel, dq, noise)

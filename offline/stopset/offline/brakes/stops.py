@@ -12,7 +12,6 @@ from stopset.errors import NotCovered, RecordingError
 from stopset.offline.brakes.controlled import fit_ramp
 from stopset.offline.brakes.judge import guarantee_line, judge_stop0, judge_stop1
 from stopset.offline.brakes.power_off import LEAST, fit_brakes
-from stopset.offline.stops.measured import trigger_of
 from stopset.reach.stops.ramp import KEY, Ramp
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
@@ -56,7 +55,7 @@ def identify_stops(model: Model, recordings: Iterable[Recording]) -> StopFit:
     stops: dict[str, list[Recording]] = {"stop0": [], "stop1": []}
     for r in recordings:
         if r.phase in stops:
-            if trigger_of(r) is None:
+            if r.stop_requested is None:
                 raise RecordingError(
                     f"{r.label} has no stop_trigger that turns true; expected the moment of the stop request: record it or "
                     f"leave the file out"

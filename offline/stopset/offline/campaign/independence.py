@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from stopset.offline.conform.noise import spread
+from stopset.offline.campaign.noise import spread
 from stopset.recording import Recording, SuiteKey
 from stopset.types import Array, Index
 

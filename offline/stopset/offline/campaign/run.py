@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.survey import Survey
 from stopset.offline.campaign.trials import Source
-from stopset.offline.identify.settings import Settings
 from stopset.recording import Meta
 from stopset.robot import Robot
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stopset.errors import RecordingError
+from stopset.offline.campaign.calibration import split
 from stopset.offline.campaign.independence import Ends, independent_motions
+from stopset.offline.campaign.noise import NoiseEstimate
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.campaign.session import POWERED, Session
 from stopset.offline.campaign.trials import Source
-from stopset.offline.conform.guarantee import split
-from stopset.offline.conform.noise import NoiseEstimate
-from stopset.offline.conform.reading_error import ReadingError
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 from stopset.types import Array

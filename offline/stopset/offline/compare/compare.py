@@ -12,19 +12,20 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.notebook import shown
+from stopset.offline.abstraction.metrics import Figures, torque_error
+from stopset.offline.abstraction.nominal_part import roller
 from stopset.offline.campaign.survey import Survey, on_grid, survey
 from stopset.offline.compare.known import left_over
-from stopset.offline.compare.metrics import Figures, torque_error
 from stopset.offline.compare.restored import restored
-from stopset.offline.compare.tightness import Along, Tightness, of_tube
 from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
+from stopset.offline.conform.tightness import Along, Tightness, of_tube
 from stopset.offline.nominal.low_pass import recorded_low_pass
-from stopset.offline.nominal.model import roller
 from stopset.progress import Progress, silent
-from stopset.reach.flowpipe import DeviationTube, deviation_tube, predict
+from stopset.reach.flowpipe import DeviationTube, deviation_tube
 from stopset.reach.nonlinear import predicted_tube
+from stopset.reach.predict import predict
 from stopset.recording import Recording, read_meta, stream_recordings
 from stopset.types import Array
 

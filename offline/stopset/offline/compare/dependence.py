@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
+from stopset.offline.abstraction.metrics import AVERAGING, torque_error
 from stopset.offline.campaign.survey import Survey
-from stopset.offline.compare.metrics import AVERAGING, torque_error
 from stopset.recording import Recording
 from stopset.robot.rigid import gravity_torques
 from stopset.types import Array

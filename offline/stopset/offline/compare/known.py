@@ -13,8 +13,8 @@ import numpy as np
 from stopset.artifact import Abstraction, Model
 from stopset.artifact.inputs import InputMap, input_map
 from stopset.effects.base import Fitted
-from stopset.offline.compare.metrics import AVERAGING
-from stopset.offline.nominal.model import shared_inertia
+from stopset.offline.abstraction.metrics import AVERAGING
+from stopset.offline.abstraction.nominal_part import shared_inertia
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, torques

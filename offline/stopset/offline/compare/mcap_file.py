@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from stopset.artifact import Model
 from stopset.files import write_bytes
-from stopset.offline.workbench.scene import Scene
+from stopset.offline.compare.scene import Scene
 
 ARM, BAD = (0.15, 0.2, 0.24), (0.69, 0.0, 0.13)  # colours of the links, and of the joint that fails
 FRAMES_S = 0.04  # [s] between two pictures of the arm; the lines have every sample
@@ -32,7 +32,7 @@ SCENE = {
 
 
 def save_mcap(path: str | Path, model: Model, scene: Scene) -> None:
-    """Write ``scene`` (`stopset.offline.workbench.scene.scene`), whole or not at all; raises `OutputError`.
+    """Write ``scene`` (`stopset.offline.compare.scene.scene`), whole or not at all; raises `OutputError`.
 
     Topics ``arm`` and ``joint/<name>`` [rad]: where the joint was, between which bounds it was predicted, and by how much it left them.
     """

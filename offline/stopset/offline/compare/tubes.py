@@ -15,8 +15,9 @@ from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, Violation, inputs
 from stopset.offline.report.page import Page
 from stopset.offline.report.thin import extremes, hulls
-from stopset.reach.flowpipe import DeviationTube, deviation_tube, predict
+from stopset.reach.flowpipe import DeviationTube, deviation_tube
 from stopset.reach.nonlinear import predicted_tube
+from stopset.reach.predict import predict
 from stopset.recording import Recording, SuiteKey, suite_label
 from stopset.types import Array
 

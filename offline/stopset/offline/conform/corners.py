@@ -19,8 +19,6 @@ from stopset.core.library import flags as flags_of
 from stopset.errors import NotConformant
 from stopset.types import Array, Index
 
-Trial = tuple[Array, Array]  # states (N, 2n) on the grid, inputs (N, n)
-
 BUDGET = 2_000_000  # simulated steps per pass while searching; the final check takes every start
 CUTS = 12  # ages per side and state that give a plane in one round
 RUNAWAY = 1e3  # [rad/s], [rad] no arm gets there; a friction polynomial beyond its range may push: no tube there

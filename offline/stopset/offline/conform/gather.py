@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Abstraction
+from stopset.offline.abstraction.metrics import Figures
+from stopset.offline.abstraction.nominal_part import NominalPart, pairs_of, roller
+from stopset.offline.campaign.calibration import split
 from stopset.offline.campaign.map_reduce import Range, TrialCounter, in_parts, within
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.survey import Tally
-from stopset.offline.compare.metrics import Figures
 from stopset.offline.conform.bands import Bands
-from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.linear_sets import Gathered, few_motions, gather
 from stopset.offline.conform.problem import Options, SetProblem
 from stopset.offline.conform.zonotopes import Template, template
-from stopset.offline.nominal.model import NominalPart, pairs_of, roller
 from stopset.progress import silent
 from stopset.recording import Meta, Recording, SuiteKey
 from stopset.types import Array

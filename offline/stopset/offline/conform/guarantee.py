@@ -8,13 +8,13 @@ still grow to enclose everything recorded: growing can only lower the chance of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaln
 from scipy.stats import beta
 
 from stopset.artifact import Guarantee
+from stopset.offline.campaign.calibration import FEWEST_MOTIONS
 from stopset.offline.conform.envelope import Envelope
 from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.program import SOLVER_SLACK
@@ -23,8 +23,6 @@ from stopset.sets import Box
 from stopset.types import Array
 
 CONFIDENCE = 0.95
-HELD_OUT_EVERY = 4
-FEWEST_MOTIONS = 8  # below, nothing can be held out and calibrated at once
 FOLDS = 5
 TOUCHING = 1e-3  # of the tube's width: closer than this counts as reaching it, which can only raise the bound
 
@@ -91,23 +89,6 @@ def union(parts: Sequence[Envelope]) -> Envelope:
     for p in parts[1:]:
         out = out.merge(p)
     return out
-
-
-@dataclass(frozen=True, slots=True)
-class Split:
-    """Motions for fitting and calibrating, and held out."""
-
-    used: tuple[int, ...]
-    held: tuple[int, ...]
-
-
-def split(motions: Sequence[int]) -> Split:
-    """Every fourth motion held out where there are at least `FEWEST_MOTIONS`."""
-    ordered = sorted(motions)
-    if len(ordered) < FEWEST_MOTIONS:
-        return Split(tuple(ordered), ())
-    held = tuple(ordered[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY])
-    return Split(tuple(m for m in ordered if m not in held), held)
 
 
 GIVEN, OTHER_MOTIONS, REPETITIONS, SAME_MOTION, NO_REPETITION = (

@@ -2,7 +2,7 @@
 
 Unknowns are the bounds of ``X0``, ``U`` and ``V`` themselves.  ``U`` is found directly (trap P6), centres are free (trap
 P7).  ``V`` holds the noise, and more where that is cheaper than a torque at all times, but never more than readings were seen
-to be apart from each other (`stopset.offline.conform.reading_error`): it has no room for an error of the model.
+to be apart from each other (`stopset.offline.campaign.reading_error`): it has no room for an error of the model.
 A start state is a reading too, so ``X0`` lies in ``-V`` (trap P12) and cannot hide stiction.  With a decoupled model and
 boxes every joint is a program of its own.  Source: Liu & Althoff (2018), eq. (17)-(21) as corrected there.
 """
@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import ActiveBound, TorqueZonotope
+from stopset.offline.abstraction.metrics import STOP_TIME
 from stopset.offline.conform.envelope import Envelope, state_names
 from stopset.offline.conform.problem import SetProblem
-from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
+from stopset.offline.conform.program import Bounds, age_weights, cheapest, price, sides, tight
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box

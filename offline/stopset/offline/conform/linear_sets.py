@@ -14,6 +14,7 @@ import numpy as np
 
 from stopset.artifact import Guarantee, UncertaintySets
 from stopset.errors import NotConformant
+from stopset.offline.campaign.calibration import FEWEST_MOTIONS, HELD_OUT_EVERY, Split, split
 from stopset.offline.campaign.trials import Pairs
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform.envelope import Deviations, Envelope
@@ -90,11 +91,11 @@ def _merged(a: dict[int, Envelope], b: dict[int, Envelope]) -> dict[int, Envelop
     return dict(sorted(out.items()))
 
 
-def divided(motions: Iterable[int], learnt: Collection[int]) -> g.Split:
+def divided(motions: Iterable[int], learnt: Collection[int]) -> Split:
     """Every fourth motion held out, but none of those that the nominal model was fitted to (``learnt``)."""
     ordered = sorted(motions)
-    held = tuple(m for m in g.split(ordered).held if m not in learnt)
-    return g.Split(tuple(m for m in ordered if m not in held), held)
+    held = tuple(m for m in split(ordered).held if m not in learnt)
+    return Split(tuple(m for m in ordered if m not in held), held)
 
 
 def gather(
@@ -186,7 +187,7 @@ def conform(
 
 def few_motions(used: int) -> bool:
     """Whether there are too few motions (after holding out) to calibrate a margin across them."""
-    return used < g.FEWEST_MOTIONS - g.FEWEST_MOTIONS // g.HELD_OUT_EVERY
+    return used < FEWEST_MOTIONS - FEWEST_MOTIONS // HELD_OUT_EVERY
 
 
 def enclosing(fit: FittedSets, R: Responses, env: Envelope, *, decoupled: bool) -> FittedSets:

@@ -18,10 +18,12 @@ import numpy as np
 
 from stopset.artifact import ActiveBound
 from stopset.errors import NotConformant
-from stopset.offline.conform.corners import NOISE_HI, NOISE_LO, Q_HI, Q_LO, U_HI, U_LO, V_HI, V_LO, JointProblem, Trial
+from stopset.offline.abstraction.grid import Trial
+from stopset.offline.abstraction.metrics import STOP_TIME
+from stopset.offline.conform.corners import NOISE_HI, NOISE_LO, Q_HI, Q_LO, U_HI, U_LO, V_HI, V_LO, JointProblem
 from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.problem import SetProblem
-from stopset.offline.conform.program import STOP_TIME, age_weights, solved
+from stopset.offline.conform.program import age_weights, solved
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import parts
 from stopset.sets import Box

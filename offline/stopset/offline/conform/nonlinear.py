@@ -24,17 +24,18 @@ from numpy.typing import NDArray
 
 from stopset.artifact import ActiveBound
 from stopset.errors import NotConformant
-from stopset.offline.conform.corners import RUNAWAY, Trial
+from stopset.offline.abstraction.grid import Trial
+from stopset.offline.abstraction.metrics import STOP_TIME
+from stopset.offline.campaign.reading_error import ReadingError
+from stopset.offline.conform.corners import RUNAWAY
 from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.problem import SetProblem
-from stopset.offline.conform.program import STOP_TIME, Bounds, age_weights, cheapest, price, sides, tight
-from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.conform.program import Bounds, age_weights, cheapest, price, sides, tight
 from stopset.reach.flowpipe import Responses
 from stopset.reach.nonlinear import along, nominal
 from stopset.sets import Box
 from stopset.types import Array
 
-GRID = 0.02  # [s] finest step of the time-varying hull, whose cost is quadratic in the number of steps
 WINDOWS = 160  # of the check; the program sees every other one
 AGES = 14  # of a window that give rows in the program, evenly in the logarithm
 BATCH = 64  # nominal solutions integrated at once
@@ -53,16 +54,6 @@ class DeviationWindow:
     start: int
     d: Array
     R: Responses
-
-
-def coarser(trials: Sequence[Trial], every: int) -> list[Trial]:
-    """Every so-many-th state, and the mean of the inputs in between."""
-    out = []
-    for x, u in trials:
-        steps = (len(x) - 1) // every
-        mean = u[: steps * every].reshape(steps, every, -1).mean(axis=1)
-        out.append((np.ascontiguousarray(x[: steps * every + 1 : every]), np.vstack([mean, mean[-1:]])))
-    return out
 
 
 def starts(trials: Sequence[Trial], windows: str, number: int) -> list[tuple[int, int]]:

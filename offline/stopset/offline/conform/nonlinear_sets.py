@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from stopset.artifact import Abstraction, Guarantee, UncertaintySets
+from stopset.offline.abstraction.grid import GRID, Trial, coarser
+from stopset.offline.campaign.calibration import split
 from stopset.offline.campaign.trials import Pairs
 from stopset.offline.conform import guarantee as g
 from stopset.offline.conform import nonlinear as along
-from stopset.offline.conform.corners import Trial
 from stopset.offline.conform.linear_program import FittedSets
 from stopset.offline.conform.linear_sets import ConformedSets, few_motions, influence
 from stopset.offline.conform.monotone_sets import fit_cooperative, needed_factor
@@ -94,14 +95,14 @@ def conform_nonlinear(
     begun = time.monotonic()
     abstraction, options, dt = problem.abstraction, problem.options, problem.dt
     retained, lengths = _retained(pairs, trials)
-    every = 1 if abstraction.decoupled else max(1, round(along.GRID / dt))
-    data = {m: along.coarser([t for t, _ in rows], every) for m, rows in retained.items()}
+    every = 1 if abstraction.decoupled else max(1, round(GRID / dt))
+    data = {m: coarser([t for t, _ in rows], every) for m, rows in retained.items()}
     labels = {id(x): name for m, rows in retained.items() for (x, _), (_, name) in zip(data[m], rows, strict=True)}
     longest = max(len(x) for rows in data.values() for x, _ in rows) - 1
     grid = dt * every
     steps = min(round(problem.horizon / grid), longest)
     algorithm = Algorithm(replace(problem, dt=grid, horizon=steps * grid), labels)
-    division = g.split(list(data))
+    division = split(list(data))
     used = [t for m in division.used for t in data[m]]
     other = "position" if options.conform == "all" else "all"
     fit, second = algorithm.fit(used, options.conform), algorithm.fit(used, other)
@@ -158,7 +159,7 @@ def _left(
     def settle() -> int:
         count = 0
         for m, rows in waiting.items():
-            data = along.coarser([t for _, t in rows], every)
+            data = coarser([t for _, t in rows], every)
             where = [
                 (k, s)
                 for k, ((place, _), (x, _)) in enumerate(zip(rows, data, strict=True))
@@ -265,8 +266,8 @@ def worst_excess(abstraction: Abstraction, sets: UncertaintySets, trial: Trial, 
 
 
 def thinned(r: Recording, u: Array, every: int) -> tuple[Recording, Array]:
-    """A trial and its input on the sets' grid, every so many samples of its own, as `nonlinear.coarser` does it."""
-    (x, mean) = along.coarser([(np.hstack([r.q, r.dq]), u)], every)[0]
+    """A trial and its input on the sets' grid, every so many samples of its own, as `coarser` does it."""
+    (x, mean) = coarser([(np.hstack([r.q, r.dq]), u)], every)[0]
     at, n = slice(0, (len(x) - 1) * every + 1, every), r.q.shape[1]
     temp = None if r.temp is None else r.temp[at]
     coarse = replace(r, t=r.t[at], q=x[:, :n], dq=x[:, n:], tau=r.tau[at], temp=temp, current=None, stop_trigger=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from stopset.artifact import Abstraction
-from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.conform.zonotopes import Template
 from stopset.reach.flowpipe import Responses, responses
 from stopset.sets import Box

@@ -14,15 +14,14 @@ import numpy as np
 from scipy.optimize import linprog
 
 from stopset.errors import NotConformant
-from stopset.offline.conform.reading_error import ReadingError
+from stopset.offline.abstraction.metrics import STOP_TIME
+from stopset.offline.campaign.reading_error import ReadingError
 from stopset.types import Array
 
 # HiGHS keeps rows to 1e-7 at best (it was seen 9e-8 outside): rows start this much inside, and are re-checked
 SOLVER_SLACK = 2e-7
 ROUNDS = 40  # of constraint generation
 FIRST, MORE = 600, 300  # rows to begin with, and added in one round
-# trap P11: rad and rad/s are not addable. A velocity counts as the way it goes within a typical stop.
-STOP_TIME = 0.2  # [s]
 # a vanishing charge on every width keeps directions that cost nothing from wandering off
 CHARGE = 1e-9
 # what a solver's status means to whoever reads it; 2, that no sets exist, is said by who asked

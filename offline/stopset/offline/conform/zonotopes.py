@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.artifact import Abstraction
-from stopset.offline.compare.metrics import AVERAGING
-from stopset.offline.conform.corners import Trial
+from stopset.offline.abstraction.grid import Trial
+from stopset.offline.abstraction.metrics import AVERAGING
 from stopset.reach.flowpipe import along_joints
 from stopset.robot import Robot
 from stopset.robot.rigid import link_frames

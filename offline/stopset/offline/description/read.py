@@ -57,7 +57,7 @@ def load_robot(where: str | Path, tip: str | None = None, lock: Sequence[str] = 
         source, folder = str(path), path.parent
     try:
         sheet = json.loads(sheet_text) if sheet_text else {}
-    except json.JSONDecodeError as e:
+    except (ValueError, RecursionError) as e:
         raise RobotError(f"robot.json beside {source} is not JSON ({e}); mend or remove it") from e
     if tip is not None:
         sheet = {**sheet, "tip": tip}

@@ -20,13 +20,13 @@ from stopset.effects import Effect, catalogue, get
 from stopset.effects.base import Fitted
 from stopset.effects.selection import matches
 from stopset.errors import RecordingError
+from stopset.offline.abstraction.nominal_part import mean_inertia
 from stopset.offline.campaign.survey import Survey, on_grid, survey
 from stopset.offline.compare.known import TorqueModel
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
-from stopset.offline.nominal.model import mean_inertia
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
 from stopset.offline.nominal.output_error import fit_joint, fit_lag, gauss_newton, residuals
 from stopset.progress import Progress, silent

@@ -31,7 +31,7 @@ def standing(robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = ()
     for j, name in enumerate(robot.joints):
         most = robot.torque_limit[j] if np.isfinite(robot.torque_limit[j]) else USUAL_TORQUE
         friction = level.get(name, limit.STANDING_FRICTION * most)
-        swing = max(float(np.ptp(np.quantile(r.tau[:, j], [0.01, 0.99]))) for r in recordings)
+        swing = max(float(np.ptp(np.quantile(r.tau[:, j], [limit.ODD, 1.0 - limit.ODD]))) for r in recordings)
         if swing > 2 * friction + limit.PUSHED * most:
             pushed.append((swing / most, name))
     names = tuple(f"time at standstill (torque of {name})" for _, name in sorted(pushed, reverse=True))

@@ -27,7 +27,9 @@ SWING_PRICE = 2 * log(1000.0)
 BUILT_UP = 2.0  # Coulomb torques
 FAR_OVER_NOISE = 2.0  # variance over the sensors' noise
 SWINGS = (4.0, 70.0)  # [rad/s]
+SWING_JOINTS = 3
 BEGINNINGS = 12  # rows
+AT_REST = 0.04  # [rad/s]
 FEWEST_ROWS = 50
 RIPPLE_SEPARATION = 4.0  # [cycles per turn]
 
@@ -37,6 +39,8 @@ NOISE_SAMPLES = 20
 FEW_POSES = 12
 EVEN = 0.1  # of a period
 GAP = 1.5  # periods
+UNEVEN = 0.5  # of the trials
+STAMPS = 0.5  # of a sample
 WORTH = 1e-5  # [s]
 
 SURE = 2.0  # standard deviations
@@ -54,6 +58,7 @@ PATTERN_SHARE = 0.2  # of the claims' score
 PATTERN_ROWS = 100
 TOGETHER = 1.5  # times the best variable alone
 NAMED_BESIDE = 0.5  # of the best variable's share
+VARIABLES = 3
 FRICTION_SCATTER = 0.06  # relative
 SCATTERS = (0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.045, 0.07, 0.12, 0.2)  # relative
 USUAL_SCATTER = 0.02  # relative
@@ -61,6 +66,7 @@ SCATTERED = 3  # trials
 STANDING = 0.02  # [rad]
 STANDING_FRICTION = 0.05  # of the torque limit
 PUSHED = 0.02  # of the torque limit
+ODD = 0.01  # of the samples
 
 GAIN = (0.5, 2.0)  # recorded over described torque
 LOADED = 1e-3  # of the most loaded joint's torque
@@ -161,8 +167,12 @@ SETTLED = (
               "chosen: from here on the shifted record's own noise cannot pass for an effect"),
     Threshold("SWINGS", "how fast a gear's link may swing to be looked for", "rad/s",
               "chosen: periods from 0.1 to 1.5 s, which rows can show"),
+    Threshold("SWING_JOINTS", "joints, the noisiest, at which swings are looked for that smoothing would hide", "",
+              "chosen: a bound on the search"),
     Threshold("BEGINNINGS", "rows of a trial from which on the swing that it began with is told from friction and an offset", "",
               "chosen"),
+    Threshold("AT_REST", "speed below which a trial begins with a gear that carries gravity alone", "rad/s",
+              "chosen: twice the speed below which rows say nothing"),
     Threshold("FEWEST_ROWS", "moving rows of a joint from which on it is asked at all", "",
               "chosen"),
     Threshold("RIPPLE_SEPARATION", "ripples of one joint that count as different", "cycles per turn",
@@ -179,6 +189,10 @@ SETTLED = (
               "chosen: as clocks are"),
     Threshold("GAP", "time between stamps, in periods, from which on samples were lost", "",
               "chosen: half way to one lost"),
+    Threshold("UNEVEN", "share of trials with uneven stamps from which on their clock is that of all", "%",
+              "chosen: the larger part"),
+    Threshold("STAMPS", "how late stamps may be, in samples, one standard deviation", "",
+              "a torque held over a sample acts half a sample later than its stamp"),
     Threshold("WORTH", "scatter of stamps that is worth a word", "s",
               "chosen"),
     Threshold("SURE", "standard deviations that some number of an effect must exceed, and none its range", "",
@@ -212,6 +226,7 @@ SETTLED = (
               "chosen"),
     Threshold("NAMED_BESIDE", "share of the best variable's from which on another one is named beside it", "%",
               "chosen"),
+    Threshold("VARIABLES", "most variables that are named of an unknown cause", "", "chosen"),
     Threshold("FRICTION_SCATTER", "friction scatter", "", "healthy: 0.02 to 0.03"),
     Threshold("SCATTERS", "how friction may scatter from trial to trial; found by evidence", "%",
               "chosen: the grid that evidence chooses from"),
@@ -225,6 +240,8 @@ SETTLED = (
               "chosen"),
     Threshold("PUSHED", "torque beyond friction either way, of the joint's limit, from which on an arm that stands is pushed", "%",
               "chosen"),
+    Threshold("ODD", "share of such a trial's samples, at either end, that say nothing of its torque's range", "%",
+              "chosen: single readings may be wrong"),
     Threshold("GAIN", "identified over described gravity torque that passes for a scale of the drives' torque", "",
               "chosen: a torque constant is not off by more; beyond, the description is taken to be wrong, and that is said"),
     Threshold("LOADED", "gravity torque, of the most loaded joint's, below which a joint says nothing of that scale", "%",

@@ -10,7 +10,7 @@ import numpy as np
 
 from stopset.artifact import UncertaintySets
 from stopset.offline.campaign.survey import Survey
-from stopset.offline.compare.tightness import JUDGED, Tightness
+from stopset.offline.conform.tightness import JUDGED, Tightness
 
 LATE = 0.5  # samples: a speed that comes later than this after the slope of its positions is told
 MOVES = 5.0  # a joint moves if it is faster than so many times its noise

@@ -9,12 +9,12 @@ from stopset.effects.base import Fitted
 from stopset.effects.registry import get
 from stopset.effects.selection import matches, parse_effect
 from stopset.errors import EffectError, RecordingError
+from stopset.offline.abstraction.nominal_part import NO_TRACE, fit_nominal, regressed
 from stopset.offline.campaign.run import Run
 from stopset.offline.compare.known import TorqueModel
 from stopset.offline.diagnose.compensated import search_open_loop
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.question import first_question
-from stopset.offline.nominal.model import NO_TRACE, fit_nominal, regressed
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
@@ -35,7 +35,7 @@ def asked_effects(run: Run, known: Sequence[Fitted] = (), chosen: Sequence[str] 
     if not wanted:
         return tuple(known)
     settings = replace(run.settings, effects=tuple(x for x in run.settings.effects if x not in wanted))
-    part = fit_nominal(run.robot, run.meta, run.trials, run.survey, settings, tuple(known))
+    part = fit_nominal(replace(run, settings=settings), tuple(known))
     trials = Recordings(replace(run.meta, joints=run.robot.joints), tuple(run.trials()))
     plain = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
     beside = [f for f in known if not get(f.effect).base]
@@ -52,12 +52,12 @@ def _simulated(run: Run, known: Sequence[Fitted]) -> tuple[Fitted, ...]:
     if not wanted:
         return tuple(known)
     settings = replace(run.settings, effects=tuple(x for x in run.settings.effects if x not in wanted))
-    part = fit_nominal(run.robot, run.meta, run.trials, run.survey, settings, tuple(known))
+    part = fit_nominal(replace(run, settings=settings), tuple(known))
     plain = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
     trials = Recordings(replace(run.meta, joints=run.robot.joints), tuple(run.trials()))
     try:
         found = search_open_loop(plain, trials, run.survey)
-    except RecordingError:  # nothing was repeated: nothing can be judged, and the identification is told what it has
+    except RecordingError:  # nothing was repeated, so nothing can be judged
         return tuple(known)
     return (*known, *(r.fitted for r, _ in found.ranked() if any(matches(r.fitted, e) for e in wanted)))
 

@@ -17,33 +17,31 @@ import numpy as np
 
 from stopset.effects import base, bound, get, selection, signals
 from stopset.effects.registry import catalogue
-from stopset.offline.abstraction import choose, forms, identified, models, swift
+from stopset.offline.abstraction import choose, forms, grid, identified, metrics, models, swift
 from stopset.offline.brakes import bands as spread_bands
 from stopset.offline.brakes import controlled, impulse, judge, power_off, stops, timing
-from stopset.offline.campaign import hold_out, independence, session, survey
-from stopset.offline.compare import metrics, tightness
+from stopset.offline.campaign import calibration, hold_out, independence, noise, reading_error, session, survey
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.conform import (
     bands,
     corners,
     guarantee,
     linear_program,
     monotone_sets,
-    noise,
     nonlinear,
     nonlinear_sets,
     program,
-    reading_error,
+    tightness,
     zonotopes,
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, thresholds
-from stopset.offline.diagnose.columns import elasticity, ripple
+from stopset.offline.diagnose.columns import elasticity
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors
 from stopset.offline.diagnose.explain import uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
-from stopset.offline.diagnose.search import refine, wanted
+from stopset.offline.diagnose.search import refine, ripple, wanted
 from stopset.offline.identify import absurd, unseen
-from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal import (
     delay,
     fit,
@@ -65,7 +63,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, failed, ramp, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, failed, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -120,12 +118,15 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("drive gain", baseline, "POSES"),
     ("temperature bands", bands, "MOST"),
     ("corners", corners, "BUDGET CUTS RUNAWAY"),
-    ("guarantee", guarantee, "CONFIDENCE HELD_OUT_EVERY FEWEST_MOTIONS FOLDS TOUCHING"),
+    ("guarantee", calibration, "HELD_OUT_EVERY FEWEST_MOTIONS"),
+    ("guarantee", guarantee, "CONFIDENCE FOLDS TOUCHING"),
     ("parts left out", unseen, "STRETCHES FEWEST SHORTEST RISK USUAL FREEDOM NOTHING"),
     ("linear program", linear_program, "AGES"),
-    ("program", program, "SOLVER_SLACK ROUNDS FIRST MORE STOP_TIME CHARGE"),
+    ("program", program, "SOLVER_SLACK ROUNDS FIRST MORE CHARGE"),
+    ("program", metrics, "STOP_TIME"),
     ("monotone sets", monotone_sets, "ROUNDS SETTLED LARGEST"),
-    ("windows of nonlinear sets", nonlinear, "GRID WINDOWS AGES NEAREST"),
+    ("windows of nonlinear sets", grid, "GRID"),
+    ("windows of nonlinear sets", nonlinear, "WINDOWS AGES NEAREST"),
     ("nonlinear sets", nonlinear_sets, "KEEP MOST_LEFT_OUT TOLERANCE"),
     ("zonotopes", zonotopes, "POSES SAME REACH"),
     ("figures", metrics, "AVERAGING KINDS LONGEST"),
@@ -137,7 +138,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
-    ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES REWARD SLICE ANGLE_WEIGHT"),
+    ("cut intervals", split, "TRIALS REWARD"),
+    ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES SLICE ANGLE_WEIGHT"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
@@ -176,11 +178,12 @@ def constants() -> dict[str, Any]:
     """``group.NAME`` -> value, as written in the code of this version; the name is the one that is hashed."""
     named = {f"{group}.{name}": getattr(module, name) for group, module, names in TABLE for name in names.split()}
     out = {HASHED_AS.get(name, name): value for name, value in named.items()}
+    known = priors.Known(np.zeros((0, 2)))
     return out | {
         "preprocessing defaults": preprocess.Preprocessing(),
         "description tolerance": prior.Tolerance(),
         "laws tried": {"always": selection.base(), "joints": selection.usual(), "pairs": selection.usual("pair")},
-        "changes since": {f: priors.Known.__dataclass_fields__[f].default for f in ("gain", "spread", "scales")},
+        "changes since": {f: getattr(known, f) for f in ("gain", "spread", "scales")},
     }
 
 

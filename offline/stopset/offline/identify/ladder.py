@@ -15,12 +15,12 @@ import numpy as np
 
 from stopset.errors import NotConformant, StopsetError
 from stopset.offline.abstraction.identified import LADDER, WORTH
+from stopset.offline.abstraction.nominal_part import NominalPart
 from stopset.offline.abstraction.swift import lacking
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.survey import Survey
-from stopset.offline.compare.tightness import JUDGED, LIMIT, WIDE
+from stopset.offline.conform.tightness import JUDGED, LIMIT, WIDE
 from stopset.offline.identify.model_file import Identification
-from stopset.offline.identify.settings import Settings
-from stopset.offline.nominal.model import NominalPart
 from stopset.progress import Progress
 
 Abstracted = Callable[[Settings], NominalPart]

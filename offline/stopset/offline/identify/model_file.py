@@ -8,25 +8,24 @@ from importlib.metadata import version
 from typing import Any
 
 from stopset.artifact import Domain, Model, Revision, UncertaintySets
+from stopset.offline.abstraction.metrics import STOP_TIME, Figures
+from stopset.offline.abstraction.nominal_part import NominalPart
 from stopset.offline.brakes import identify_stops, with_stops
 from stopset.offline.brakes.data_sheet import assumed_brakes
 from stopset.offline.campaign.run import Run
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.survey import Survey, Tally
-from stopset.offline.compare.metrics import Figures
-from stopset.offline.compare.tightness import Tightness, of_tube
 from stopset.offline.conform.bands import band_sets
 from stopset.offline.conform.gather import RetainedSums, SetForm, Sums, set_problem
 from stopset.offline.conform.guarantee import union
 from stopset.offline.conform.linear_sets import ConformedSets, conform, few_motions
-from stopset.offline.conform.program import STOP_TIME
+from stopset.offline.conform.tightness import Tightness, of_tube
 from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
-from stopset.offline.identify.settings import Settings
-from stopset.offline.nominal.model import NominalPart
+from stopset.offline.identify.signals_file import RetainedSignals
 from stopset.offline.nominal.parameter_uncertainty import notes as uncertainty_notes
 from stopset.offline.nominal.parameter_uncertainty import widened
-from stopset.offline.update.signals_file import RetainedSignals
 from stopset.progress import Progress
 from stopset.reach.flowpipe import deviation_tube
 from stopset.recording import Meta, Recording

@@ -13,36 +13,37 @@ from stopset.artifact import UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.effects.selection import matches
 from stopset.errors import NotConformant, NotCovered
+from stopset.offline.abstraction.grid import coarser
+from stopset.offline.abstraction.metrics import Figures
+from stopset.offline.abstraction.nominal_part import NominalPart, fit_nominal, pairs_of
 from stopset.offline.abstraction.order_selection import abstracted
 from stopset.offline.abstraction.swift import swift
+from stopset.offline.campaign.calibration import split
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.map_reduce import TrialCounter, passing
 from stopset.offline.campaign.run import Run
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign, campaign_of
 from stopset.offline.campaign.survey import Tally, tallied
 from stopset.offline.campaign.trials import Pairs
-from stopset.offline.compare.metrics import Figures
-from stopset.offline.compare.tightness import Along, Tightness
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
 from stopset.offline.conform.gather import SetForm, set_problem, sums_of, template_of
-from stopset.offline.conform.guarantee import split
 from stopset.offline.conform.linear_sets import ConformedSets, few_motions
-from stopset.offline.conform.nonlinear import NEAREST, Diverges, coarser
+from stopset.offline.conform.nonlinear import NEAREST, Diverges
 from stopset.offline.conform.nonlinear_sets import conform_nonlinear
+from stopset.offline.conform.tightness import Along, Tightness
 from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.ladder import climbed
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
-from stopset.offline.identify.settings import Settings
+from stopset.offline.identify.signals_file import RetainedSignals
 from stopset.offline.identify.unseen import unseen
 from stopset.offline.inspect.gate import check_files, check_signals
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
-from stopset.offline.nominal.model import NominalPart, fit_nominal, pairs_of
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.preprocess import Preprocessing
-from stopset.offline.update.signals_file import RetainedSignals
 from stopset.progress import Progress, silent
 from stopset.recording import Recording
 from stopset.robot import Robot
@@ -101,7 +102,7 @@ def identified(
     shared = _shared(fitting, known)
     numbers = asked_effects(fitting, known, [g.name for g in shared])
     shared = tuple(g for g in shared if any(matches(f, g.name) for f in numbers))
-    nominal = fit_nominal(robot, meta, fitting.trials, learnt, chosen, numbers)
+    nominal = fit_nominal(fitting, numbers)
     plain = replace(nominal, chosen=(*shared, *nominal.chosen), notes=(*(g.says for g in shared), *nominal.notes))
     if chosen.margin is None and found.session.repeats < 2 and few_motions(len(split(sorted(set(found.motion.values()))).used)):
         factor, note = unseen(fitting, nominal, numbers, progress)

@@ -21,6 +21,7 @@ from scipy.stats import t as student
 
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, RecordingError
+from stopset.offline.abstraction.nominal_part import NominalPart, pairs_of, refitted
 from stopset.offline.abstraction.swift import swift
 from stopset.offline.campaign.hold_out import BLOCK, GUARD
 from stopset.offline.campaign.run import Run
@@ -28,7 +29,6 @@ from stopset.offline.conform.envelope import Deviations, Envelope
 from stopset.offline.conform.gather import set_problem
 from stopset.offline.conform.guarantee import reached, union
 from stopset.offline.conform.linear_program import fit_sets
-from stopset.offline.nominal.model import NominalPart, pairs_of, refitted
 from stopset.progress import Progress
 from stopset.recording import Recording
 from stopset.types import Array
@@ -122,7 +122,7 @@ def _reached(run: Run, nominal: NominalPart, known: tuple[Fitted, ...], s: _Stre
     """What each block left out reaches of the sets found on the rest."""
     found = replace(run.survey, sample=s.rest)
     others = tuple(r for r in run.trials() if r.phase != found.phase)
-    fitted = refitted(run.robot, run.meta, lambda: (*others, *s.rest), found, run.settings, known, nominal)
+    fitted = refitted(replace(run, trials=lambda: (*others, *s.rest), survey=found), known, nominal)
     fitted = swift(fitted, found, run.meta.effort)
     problem = set_problem(run, fitted.abstraction)
     deviations, R = Deviations(problem.abstraction, problem.dt, problem.steps, problem.options.windows), problem.responses()

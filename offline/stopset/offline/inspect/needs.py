@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from stopset.offline.conform.guarantee import FEWEST_MOTIONS, HELD_OUT_EVERY, split
+from stopset.offline.campaign.calibration import FEWEST_MOTIONS, HELD_OUT_EVERY, split
 from stopset.offline.inspect.tally import MOVING
 from stopset.types import Array
 

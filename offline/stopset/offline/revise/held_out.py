@@ -6,14 +6,15 @@ from dataclasses import replace
 from typing import Any
 
 from stopset.effects.base import Fitted
+from stopset.offline.abstraction.metrics import joint_figures
+from stopset.offline.abstraction.nominal_part import fit_nominal, pairs_of, roller
 from stopset.offline.campaign.hold_out import HoldOut
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import Session
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
-from stopset.offline.compare.metrics import joint_figures
-from stopset.offline.identify.settings import Settings
 from stopset.offline.nominal.low_pass import recorded_low_pass
-from stopset.offline.nominal.model import fit_nominal, pairs_of, roller
 from stopset.robot import Robot
 
 
@@ -25,7 +26,7 @@ def nominal_figures(
     found = replace(survey(fitted), session=session)
     if meta.effort != "compensated_torque":
         found = replace(found, low_pass=recorded_low_pass(robot, found.sample))
-    nominal = fit_nominal(robot, meta, fitted, found, settings, known)
+    nominal = fit_nominal(Run(robot, meta, fitted, found, settings), known)
     judged = replace(survey(judging), session=session)
     pairs = pairs_of(judging, judged, nominal, meta.effort)
     return joint_figures(pairs, nominal.abstraction, robot.joints, judged.dt, roller(nominal, meta.effort, judged))

@@ -19,6 +19,7 @@ from stopset.effects.selection import parse_effect
 from stopset.errors import RecordingError
 from stopset.offline.campaign.hold_out import HoldOut
 from stopset.offline.campaign.session import Session
+from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
@@ -26,7 +27,6 @@ from stopset.offline.diagnose.compensated import OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import settled
 from stopset.offline.diagnose.question import question
-from stopset.offline.identify.settings import Settings
 from stopset.offline.revise.held_out import nominal_figures
 from stopset.progress import Progress
 from stopset.recording import Recordings

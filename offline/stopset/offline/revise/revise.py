@@ -8,7 +8,7 @@ with the numbers, unless forced; so is a revision whose torque sets are wider th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -16,14 +16,15 @@ import numpy as np
 
 from stopset.artifact import Model, Revision
 from stopset.effects.selection import parse_effect
-from stopset.errors import EffectError, ModelFileError, NotConformant, NotCovered
+from stopset.errors import EffectError, NotConformant, NotCovered
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import hold_out
+from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import own
-from stopset.offline.identify.pipeline import Keep, Settings, identified
+from stopset.offline.identify.pipeline import Keep, identified
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation, retained_effects
 from stopset.progress import Progress, silent
 from stopset.reach.stops import stop
@@ -31,7 +32,7 @@ from stopset.robot import Robot
 
 if TYPE_CHECKING:
     from stopset.offline.conform.gather import RetainedSums
-    from stopset.offline.update.signals_file import RetainedSignals
+    from stopset.offline.identify.signals_file import RetainedSignals
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,18 +174,3 @@ def stop_figures(model: Model, other: Model) -> dict[str, float]:
             return {}
         angles[f"stop0_angle:{name}"] = float(bound[joint])
     return {"stop0_angle": float(np.mean(list(angles.values())))} | angles
-
-
-def settings_of(model: Model) -> Settings:
-    """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
-    stored = dict(model.provenance.get("settings", {}))
-    stored["effects"] = tuple(stored.get("effects", ()))
-    stored.setdefault("friction", "plain")  # models older than the choice had none
-    try:
-        return Settings(**stored)
-    except TypeError as e:
-        unknown = ", ".join(sorted(stored.keys() - {f.name for f in fields(Settings)}))
-        raise ModelFileError(
-            f"the model was identified with settings that this stopset does not have ({unknown}); expected those of its version: "
-            "identify again"
-        ) from e

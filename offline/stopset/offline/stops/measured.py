@@ -29,20 +29,13 @@ class Measured:
     bound_angle: float | None
 
 
-def trigger_of(r: Recording) -> int | None:
-    """Index of the first sample of the stop request; None where the recording does not hold it."""
-    if r.stop_trigger is None or not np.any(r.stop_trigger):
-        return None
-    return int(np.argmax(r.stop_trigger))
-
-
 def measured_stops(bounds: StopBounds, recordings: Iterable[Recording]) -> list[Measured]:
     """All stops of phases stop0 and stop1, joint by joint."""
     n = bounds.model.n
     noise = bounds.setting.noise.radius[n:] if bounds.setting is not None else np.full(n, 0.01)
     out = []
     for r in recordings:
-        k = trigger_of(r)
+        k = r.stop_requested
         if r.phase not in CATEGORY or k is None:
             continue
         try:

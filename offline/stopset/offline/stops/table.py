@@ -315,7 +315,7 @@ def along_path(
 
     Raises `NotCovered` for a path beyond the limits or one that starts too fast to be stopped on.
     """
-    from stopset.offline.stops.path import Path, path_stop
+    from stopset.reach.stops.path import Path, path_stop
 
     percent, kg = loads(model, question)[-1]
     ready = prepared(model, kg, question)

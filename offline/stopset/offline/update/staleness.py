@@ -14,8 +14,8 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
+from stopset.offline.abstraction.metrics import Figures
 from stopset.offline.campaign.survey import Survey
-from stopset.offline.compare.metrics import Figures
 from stopset.offline.nominal import NormalEquations, accumulate, solve_nominal
 from stopset.offline.nominal.known_effects import described, plain
 from stopset.recording import Recording

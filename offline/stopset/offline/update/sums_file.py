@@ -19,22 +19,22 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.errors import ModelFileError
 from stopset.files import write_bytes
+from stopset.offline.abstraction.metrics import Figures, Repeats
+from stopset.offline.abstraction.nominal_part import NominalPart
 from stopset.offline.campaign.independence import Ends
+from stopset.offline.campaign.noise import NoiseEstimate, RetainedNoise
 from stopset.offline.campaign.session import Session
+from stopset.offline.campaign.settings import settings_of
 from stopset.offline.campaign.survey import Tally
-from stopset.offline.compare.metrics import Figures, Repeats
 from stopset.offline.conform.bands import Bands
 from stopset.offline.conform.envelope import Envelope
 from stopset.offline.conform.gather import RetainedSums, SetForm, Sums
 from stopset.offline.conform.linear_sets import Gathered
-from stopset.offline.conform.noise import NoiseEstimate, RetainedNoise
 from stopset.offline.conform.zonotopes import Template
 from stopset.offline.identify.constants import settings_sha256
-from stopset.offline.nominal.model import NominalPart
+from stopset.offline.identify.signals_file import meta_of
 from stopset.offline.nominal.normal_equations_file import load_sums as load_nominal
 from stopset.offline.nominal.normal_equations_file import sums_bytes
-from stopset.offline.revise.revise import settings_of
-from stopset.offline.update.signals_file import meta_of
 from stopset.recording import Recording, SuiteKey, counted
 from stopset.sets import Box
 from stopset.types import Array

@@ -25,15 +25,15 @@ from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.map_reduce import TrialCounter
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.session import POWERED
+from stopset.offline.campaign.settings import settings_of
 from stopset.offline.campaign.source import continued, joined, numbered_on
 from stopset.offline.campaign.survey import STOPS, Survey, Tally
 from stopset.offline.conform.gather import RetainedSums, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
 from stopset.offline.identify.pipeline import identified
+from stopset.offline.identify.signals_file import MAGIC, RetainedSignals, load_signals, save_signals
 from stopset.offline.inspect.gate import check_signals
-from stopset.offline.revise.revise import settings_of
 from stopset.offline.update import staleness
-from stopset.offline.update.signals_file import MAGIC, RetainedSignals, load_signals, save_signals
 from stopset.offline.update.sums_file import load_sums, save_sums
 from stopset.progress import Progress, silent
 from stopset.recording import Recording, suite_label

@@ -18,6 +18,7 @@ from stopset.errors import OutputError, RecordingError, StopsetError
 from stopset.files import writable
 from stopset.offline.compare.compare import check_effort
 from stopset.offline.compare.dependence import partial_residual
+from stopset.offline.compare.scene import Scene, scene
 from stopset.offline.description.older import load_model
 from stopset.offline.report.page import DISCLAIMER
 from stopset.offline.report.thin import spread
@@ -25,7 +26,6 @@ from stopset.offline.revise.page import FIGURES, floors
 from stopset.offline.revise.page import page as history_page
 from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Job, Message, Order, RevisionWritten, Says
 from stopset.offline.workbench.opened import Opened
-from stopset.offline.workbench.scene import Scene, scene
 from stopset.offline.workbench.worker import Worker
 from stopset.recording import stream_recordings
 

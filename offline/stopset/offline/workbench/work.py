@@ -22,6 +22,7 @@ from stopset.offline.campaign.source import campaign_of
 from stopset.offline.compare.compare import answer, compare, inputs
 from stopset.offline.compare.dependence import explained
 from stopset.offline.compare.page import page as compare_page
+from stopset.offline.compare.scene import listed
 from stopset.offline.compare.verdict import verdict
 from stopset.offline.description.older import load_model
 from stopset.offline.diagnose import diagnose_model
@@ -32,7 +33,6 @@ from stopset.offline.plan.page import page as plan_page
 from stopset.offline.report.thin import spread
 from stopset.offline.revise.revise import add
 from stopset.offline.workbench.jobs import Answer, Answered, Compared, Ended, Export, Message, Order, RevisionWritten, Says
-from stopset.offline.workbench.scene import listed
 from stopset.recording import read_recordings
 
 OFTEN = 0.1  # [s] between two words about the same step

@@ -33,4 +33,8 @@ StopsetPlant stops_with_friction(const StopsetPlant *plant, const double *fricti
 double stops_rests_after(const StopAsk *ask, int i);
 /* The bound widened by the tube, whose displacements count from q +- q_radius: all but the time. */
 void stops_widen(const StopAsk *ask, const double *q, const double *q_radius, const double fastest[SN], const StopsetBound *out);
+/* The plant with what the effects give at angles in [q_lo, q_hi], no joint faster than `speed`; 0 where they have no bound. */
+int stops_near(const StopsetStops *stops, const double *q_lo, const double *q_hi, const double *speed, double friction[6 * SN], StopsetPlant *out);
+/* Whether brakes and dry friction surely hold the arm anywhere in q +- radius. */
+int stops_held(const StopsetStops *stops, const double *q, const double *radius);
 #endif

@@ -75,17 +75,19 @@ static int inverse(const Local *at, Energy *out) {
     return 1;
 }
 
-/* w_i [N m] of this file's head, for the directions in which speeds within [v_lo, v_hi] point. */
-void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, const double *v_lo,
-                        const double *v_hi, double *w) {
+/* w_i [N m] of this file's head while joint i moves forward (hi) and backward (lo). */
+void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, Span *w) {
     for (int i = 0; i < n; i++) {
-        double up = u_hi[i] - e->g_lo[i], down = e->g_hi[i] - u_lo[i];
-        if (v_lo[i] >= 0.0 && v_hi[i] > 0.0)
-            down = up;
-        else if (v_hi[i] <= 0.0 && v_lo[i] < 0.0)
-            up = down;
-        w[i] = most(up, down) - B_lo[i];
+        w->hi[i] = u_hi[i] - e->g_lo[i] - B_lo[i];
+        w->lo[i] = e->g_hi[i] - u_lo[i] - B_lo[i];
     }
+}
+
+/* The same in whatever direction. */
+static void power_excess(const StopsetPlant *p, const Energy *e, const double *B_lo, double *w) {
+    Span either;
+    stops_power_excess(p->arm.n, e, p->u_lo, p->u_hi, B_lo, &either);
+    for (int i = 0; i < p->arm.n; i++) w[i] = most(either.lo[i], either.hi[i]);
 }
 
 /* Caps on a step of h seconds from y, on whose box `at` holds and w bounds the power. Whatever the pose, M >= diag(rotor) and
@@ -127,7 +129,7 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
             e->g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
             e->g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
         }
-        stops_power_excess(n, e, p->u_lo, p->u_hi, B_lo, none, none, w);
+        power_excess(p, e, B_lo, w);
         caps(p, e, y, at, w, h);
         for (int i = 0; i < n; i++)
             if (e->cap[i] > claim[i]) {
@@ -171,7 +173,7 @@ int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E
         here.g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
         here.g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
     }
-    stops_power_excess(n, &here, p->u_lo, p->u_hi, B_lo, none, none, w);
+    power_excess(p, &here, B_lo, w);
     for (int i = 0; i < n; i++) {
         if (!(w[i] < 0.0)) return 0;
         travel[i] = 1.1 * work / -w[i] + 1e-9;
@@ -194,40 +196,80 @@ int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E
     return 0;
 }
 
-/* Largest sum_i w_i |v_i| [W] where slow_i <= |v_i| <= fast_i and sum_i P_i |v_i| >= z: what has much energy moves, and what moves is braked.
- * Where torques push all of a speed is taken, of the others as much as z asks for, those first that hold most of it for least power. */
-static double power(int n, const double *w, const double *slow, const double *fast, const double *P, double z) {
-    int left[SN], count = 0;
-    double out = 0.0, scale = 0.0;
-    for (int i = 0; i < n; i++) {
-        const double v = w[i] > 0.0 ? fast[i] : slow[i];
-        out += w[i] * v;
-        scale += size_of(w[i]) * fast[i];
-        z -= P[i] * v;
-        if (w[i] <= 0.0 && fast[i] > slow[i] && P[i] > 0.0) left[count++] = i;
+/* What joint i gives at one speed: at most so much of v' p, and of the power. */
+typedef struct {
+    double energy, power;
+} Share;
+
+/* Corners of what one joint gives at the speeds of its range: from that of most power on, ever more energy, each step for the least power that
+ * there is. Forward and backward are corners of their own, as torque and momentum have directions. Returns how many, at most 3. */
+static int corners(double w_lo, double w_hi, double p_lo, double p_hi, double v_lo, double v_hi, Share out[3]) {
+    Share all[3] = {{0.0, 0.0}, {0.0, 0.0}, {0.0, 0.0}};
+    const double ends[2] = {v_lo, v_hi};
+    const int still = v_lo <= 0.0 && 0.0 <= v_hi;
+    int count = 1, first = 0;
+    for (int k = 0; k < 2; k++) {
+        const double fast = size_of(ends[k]);
+        all[k].energy = fast * most(ends[k] > 0.0 ? p_hi : -p_lo, 0.0);
+        all[k].power = fast * (ends[k] > 0.0 ? w_hi : w_lo);
     }
-    while (z > 0.0 && count > 0) {
-        int best = 0;
-        for (int k = 1; k < count; k++)
-            if (w[left[k]] * P[left[best]] > w[left[best]] * P[left[k]]) best = k;
-        const int i = left[best];
-        const double v = least(fast[i] - slow[i], z / P[i]);
-        out += w[i] * v;
-        z -= P[i] * v;
-        left[best] = left[--count];
+    for (int k = 1; k < 2 + still; k++)
+        if (all[k].power > all[first].power) first = k;
+    out[0] = all[first];
+    for (int next = 0; next >= 0;) {
+        const Share at = out[count - 1];
+        next = -1;
+        for (int k = 0; k < 2 + still; k++) {
+            const double more = all[k].energy - at.energy, less = all[k].power - at.power;
+            if (more > 0.0 && (next < 0 || less * (all[next].energy - at.energy) > (all[next].power - at.power) * more)) next = k;
+        }
+        if (next >= 0) out[count++] = all[next];
+    }
+    return count;
+}
+
+typedef struct {
+    int n, count[SN];
+    Share of[SN][3];
+} Shares;
+
+/* Largest power [W] of all joints of which v' p is at least z: what has much energy moves, and what moves is braked. From most power on, energy is
+ * had first where it costs least power. */
+static double power(const Shares *x, double z) {
+    int at[SN] = {0};
+    double out = 0.0, scale = 0.0;
+    for (int i = 0; i < x->n; i++) {
+        out += x->of[i][0].power;
+        z -= x->of[i][0].energy;
+        for (int k = 0; k < x->count[i]; k++) scale += size_of(x->of[i][k].power);
+    }
+    while (z > 0.0) {
+        double energy = 0.0, cost = 0.0;
+        int best = -1;
+        for (int i = 0; i < x->n; i++) {
+            if (at[i] + 1 >= x->count[i]) continue;
+            const Share *here = x->of[i] + at[i];
+            const double more = here[1].energy - here[0].energy, less = here[1].power - here[0].power;
+            if (best >= 0 && !(less * energy > cost * more)) continue;
+            best = i;
+            energy = more;
+            cost = less;
+        }
+        if (best < 0) break;
+        const double part = least(1.0, z / energy);
+        out += part * cost;
+        z -= part * energy;
+        at[best]++;
     }
     return out + 1e-12 * scale; /* for rounding */
 }
 
-/* y after a step from y on which the speeds lie in [x_lo, x_hi] and no momentum is larger than P: the energy balance, Lemma 8 of docs/stops.md. */
-double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, const double *P, double h) {
+/* y after a step from y on which the speeds lie in v and the momenta in p: the energy balance, Lemma 8 of docs/stops.md. */
+double stops_by_power(int n, double y, const Span *w, const Span *v, const Span *p, double h) {
     const double z = y * y;
-    double slow[SN], fast[SN];
-    for (int i = 0; i < n; i++) {
-        slow[i] = x_lo[i] <= 0.0 && 0.0 <= x_hi[i] ? 0.0 : least(size_of(x_lo[i]), size_of(x_hi[i]));
-        fast[i] = most(size_of(x_lo[i]), size_of(x_hi[i]));
-    }
-    const double low = least(most(z + 2.0 * h * power(n, w, slow, fast, P, z), 0.0), z), rate = power(n, w, slow, fast, P, low);
+    Shares x = {.n = n};
+    for (int i = 0; i < n; i++) x.count[i] = corners(w->lo[i], w->hi[i], p->lo[i], p->hi[i], v->lo[i], v->hi[i], x.of[i]);
+    const double low = least(most(z + 2.0 * h * power(&x, z), 0.0), z), rate = power(&x, low);
     return sqrt(most(most(z + 2.0 * h * rate, low + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
 }
 
@@ -266,20 +308,34 @@ double stopset_largest_energy(const StopsetPlant *plant, const double *q, const 
     return stops_largest(&at, v_lo, v_hi);
 }
 
-int stopset_energy_after(int n, double y, const double *w, const double *v_lo, const double *v_hi, const double *P, double h, double *out) {
+int stopset_energy_after(int n, double y, const double *w_lo, const double *w_hi, const double *v_lo, const double *v_hi, const double *p_lo,
+                         const double *p_hi, double h, double *out) {
+    const size_t row = (size_t)n * sizeof *out;
+    Span w, v, p;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    *out = stops_by_power(n, y, w, v_lo, v_hi, P, h);
+    memcpy(w.lo, w_lo, row);
+    memcpy(w.hi, w_hi, row);
+    memcpy(v.lo, v_lo, row);
+    memcpy(v.hi, v_hi, row);
+    memcpy(p.lo, p_lo, row);
+    memcpy(p.hi, p_hi, row);
+    *out = stops_by_power(n, y, &w, &v, &p, h);
     return STOPSET_OK;
 }
 
-int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo,
-                          const double *v_lo, const double *v_hi, double *w) {
+int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo, double *w_lo,
+                         double *w_hi) {
     Energy e;
+    Span w;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
     for (int i = 0; i < n; i++) {
         e.g_lo[i] = g_lo[i];
         e.g_hi[i] = g_hi[i];
     }
-    stops_power_excess(n, &e, u_lo, u_hi, B_lo, v_lo, v_hi, w);
+    stops_power_excess(n, &e, u_lo, u_hi, B_lo, &w);
+    for (int i = 0; i < n; i++) {
+        w_lo[i] = w.lo[i];
+        w_hi[i] = w.hi[i];
+    }
     return STOPSET_OK;
 }

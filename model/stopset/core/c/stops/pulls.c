@@ -309,18 +309,19 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
     }
 }
 
-/* Momenta after a step of h seconds on which `at` holds and speeds lie in w; `size`: cut to their largest on the step. */
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, double *size) {
+/* Momenta after a step of h seconds on which `at` holds and speeds lie in w; `step`: cut to what they are on it. */
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, Span *step) {
     const int n = at->n;
-    Span any, on, step, raw, rest;
-    speak(plant, E, at, s, w, p, h, parts, &any, &on, &step, &raw, &rest);
+    Span any, on, now, raw, rest;
+    speak(plant, E, at, s, w, p, h, parts, &any, &on, &now, &raw, &rest);
     for (int i = 0; i < n; i++) {
         const double hi = p->hi[i] + h * any.hi[i], lo = p->lo[i] + h * any.lo[i], push = most(0.0, h * on.hi[i]), back = least(0.0, h * on.lo[i]);
         const double pull_hi = parts->pull > 0.0 ? rest.hi[i] + push : -STOPS_INF, pull_lo = parts->pull > 0.0 ? rest.lo[i] + back : STOPS_INF;
         const double forward = w->hi[i] < 0.0 ? rest.hi[i] : most(p->hi[i] + h * on.hi[i], pull_hi);
         const double backward = w->lo[i] > 0.0 ? rest.lo[i] : least(p->lo[i] + h * on.lo[i], pull_lo);
         const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any.lo[i], any.hi[i]));
-        size[i] = least(size[i], largest(step.lo[i], step.hi[i]) + slack);
+        step->lo[i] = most(step->lo[i], now.lo[i] - slack);
+        step->hi[i] = least(step->hi[i], now.hi[i] + slack);
         p->hi[i] = least(hi, w->lo[i] > 0.0 ? hi : forward) + slack;
         p->lo[i] = most(lo, w->hi[i] < 0.0 ? lo : backward) - slack;
     }

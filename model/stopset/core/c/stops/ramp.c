@@ -127,8 +127,7 @@ static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *
     return 1;
 }
 
-/* The plant with what the effects give at angles in [q_lo, q_hi], no joint faster than `speed`; 0 where they have no bound. */
-static int near(const StopsetStops *s, const double *q_lo, const double *q_hi, const double *speed, double friction[6 * SN], StopsetPlant *out) {
+int stops_near(const StopsetStops *s, const double *q_lo, const double *q_hi, const double *speed, double friction[6 * SN], StopsetPlant *out) {
     *out = s->plant;
     if (!s->torques) return 1;
     if (stopset_friction_over(&s->plant, s->torques, q_lo, q_hi, speed, friction)) return 0;
@@ -136,8 +135,7 @@ static int near(const StopsetStops *s, const double *q_lo, const double *q_hi, c
     return 1;
 }
 
-/* Whether brakes and dry friction surely hold the arm anywhere in q +- radius. */
-static int held(const StopsetStops *s, const double *q, const double *radius) {
+int stops_held(const StopsetStops *s, const double *q, const double *radius) {
     const int n = s->plant.arm.n;
     const double still[SN] = {0};
     double g[2][SN], body[2][10 * SN], lo[SN], hi[SN], friction[6 * SN] = {0};
@@ -147,7 +145,7 @@ static int held(const StopsetStops *s, const double *q, const double *radius) {
         lo[i] = q[i] - radius[i];
         hi[i] = q[i] + radius[i];
     }
-    const int bounded = near(s, lo, hi, still, friction, p);
+    const int bounded = stops_near(s, lo, hi, still, friction, p);
     for (int side = 0; side < 2; side++) {
         StopsetArm arm = p->arm;
         for (int k = 0; k < 10 * n; k++) body[side][k] = p->arm.pi[k] + (side ? 1.0 : -1.0) * p->pi_half[k];
@@ -188,7 +186,7 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
         lo[i] = q[i] - q_radius[i] + down;
         hi[i] = q[i] + q_radius[i] + up;
     }
-    if (!near(stops, lo, hi, fastest, friction, &plant)) return 1;
+    if (!stops_near(stops, lo, hi, fastest, friction, &plant)) return 1;
     for (int i = 0; i < n; i++)
         if (!(r->dq_error[i] <= r->band[i])) after = r->settle;
     if (!(after >= 0.0)) return 1;
@@ -208,7 +206,7 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
             end[i] = q[i] + 0.5 * (first + last);
             half[i] = q_radius[i] + 0.5 * (last - first);
         }
-        if (!held(stops, q, q_radius) || !held(stops, end, half)) return 1;
+        if (!stops_held(stops, q, q_radius) || !stops_held(stops, end, half)) return 1;
     }
     stops_widen(&a, q, q_radius, fastest, out);
     return STOPSET_OK;

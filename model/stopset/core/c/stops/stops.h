@@ -88,18 +88,17 @@ void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const S
 void stops_tighten(Bands *b, const Momentum *m, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi, double *lo,
                    double *hi);
 double stops_largest(const Local *at, const double *v_lo, const double *v_hi);
-void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, const double *v_lo,
-                        const double *v_hi, double *w);
+void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, Span *w);
 int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                       double h, const StopsetParts *parts, Local *at);
 int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
                       const StopsetParts *parts, Local *at, double *travel);
-double stops_by_power(int n, double y, const double *w, const double *x_lo, const double *x_hi, const double *P, double h);
+double stops_by_power(int n, double y, const Span *w, const Span *v, const Span *p, double h);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
 void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p);
 void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
                      const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap);
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, double *size);
+void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, Span *step);
 double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local *at, const StopsetParts *parts, Span *p, Span *v);
 #endif

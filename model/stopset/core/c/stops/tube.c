@@ -323,20 +323,20 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
     return 1;
 }
 
-/* P (n,): largest momenta on a step on which the energy is no more than y, as |p_i| <= sqrt(M_ii) y; those that are followed, at its end. */
-static void follow_momenta(March *m, double y, double *P) {
-    const size_t row = (size_t)m->n * sizeof *P;
-    Span w, any;
-    memcpy(w.lo, m->x_lo, row);
-    memcpy(w.hi, m->x_hi, row);
-    stops_start_pulls(&m->at, w.lo, w.hi, &any);
+/* Momenta on a step on which speeds lie in w and the energy is no more than y, as |p_i| <= sqrt(M_ii) y; those that are followed, at its end. */
+static void follow_momenta(March *m, double y, const Span *w, Span *p) {
+    stops_start_pulls(&m->at, w->lo, w->hi, p);
     for (int i = 0; i < m->n; i++) {
         const int own = i * (m->n + 1);
         const double most_own = sqrt(m->at.M[own] + m->at.dM[own]) * y * stopset_energy_rounding;
-        P[i] = least(most(size_of(any.lo[i]), size_of(any.hi[i])), most_own);
+        p->lo[i] = most(p->lo[i], -most_own);
+        p->hi[i] = least(p->hi[i], most_own);
     }
-    if (m->pulled) stops_pull_on(m->p, &m->E, &m->at, &m->s, &w, m->h, m->parts, &m->momenta, P);
-    for (int i = 0; i < m->n; i++) P[i] *= m->parts->held;
+    if (m->pulled) stops_pull_on(m->p, &m->E, &m->at, &m->s, w, m->h, m->parts, &m->momenta, p);
+    for (int i = 0; i < m->n; i++) {
+        p->lo[i] *= m->parts->held;
+        p->hi[i] *= m->parts->held;
+    }
 }
 
 /* What momenta and energy know of the speeds at the end of a step. */
@@ -355,17 +355,19 @@ static void pull(March *m, double *v_lo, double *v_hi) {
 static void settle(March *m, int64_t k, double y) {
     const StopsetPlant *p = m->p;
     const int n = m->n;
-    double before[SN], excess[SN], P[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
+    double before[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
     memcpy(before, m->momentum.needed, sizeof before);
     stops_carry_on(p, &m->momentum, &m->at, &m->s, &m->b, &m->end, m->retained, m->x_lo, m->x_hi, m->h);
     for (int i = 0; i < n; i++) m->drop[i] = before[i] < STOPS_INF ? most(before[i] - m->momentum.needed[i], 0.0) : 0.0;
     memcpy(v_lo, m->tube->e_lo + k * n, (size_t)n * sizeof *v_lo);
     memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
     if (m->energetic) {
-        stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, m->x_lo, m->x_hi, excess);
-        follow_momenta(m, most(y, m->energy.y), P);
-        m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, m->x_lo, m->x_hi, P, m->h));
-        Span end;
+        Span excess, momenta, speeds, end;
+        memcpy(speeds.lo, m->x_lo, (size_t)n * sizeof *m->x_lo);
+        memcpy(speeds.hi, m->x_hi, (size_t)n * sizeof *m->x_hi);
+        stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, &excess);
+        follow_momenta(m, most(y, m->energy.y), &speeds, &momenta);
+        m->energy.y = least(m->energy.y, stops_by_power(n, y, &excess, &speeds, &momenta, m->h));
         for (int i = 0; i < n; i++) {
             end.lo[i] = -m->energy.end[i];
             end.hi[i] = m->energy.end[i];

@@ -122,7 +122,7 @@ class ArmSignals:
         d = self.data
         out = np.full(len(d.q), np.nan)
         for trial in d.trials:
-            if trial.rows.stop > trial.rows.start and np.abs(d.dq_fine[trial.fine.start]).max() < 2 * limit.CREEP:
+            if trial.rows.stop > trial.rows.start and np.abs(d.dq_fine[trial.fine.start]).max() < limit.AT_REST:
                 out[trial.rows.start] = self.gravity[trial.rows.start, joint]
         return out, d.kernel.half * d.kernel.dt
 

@@ -63,9 +63,9 @@ class Scored:
 
     @property
     def admissible(self) -> bool:
-        """Every term within its range, two standard deviations allowed beyond it."""
-        sd = np.sqrt(np.maximum(np.diag(self.cov), 0.0))
-        return all(t.lo - 2 * s <= v <= t.hi + 2 * s for t, v, s in zip(self.candidate.effect.terms, self.theta, sd, strict=True))
+        """Every term within its range, `SURE` standard deviations allowed beyond it."""
+        beyond = limit.SURE * np.sqrt(np.maximum(np.diag(self.cov), 0.0))
+        return all(t.lo - b <= v <= t.hi + b for t, v, b in zip(self.candidate.effect.terms, self.theta, beyond, strict=True))
 
 
 def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:

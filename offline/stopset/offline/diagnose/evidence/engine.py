@@ -75,7 +75,7 @@ class Engine:
         sd[base] = link_tolerance(robot, tol).ravel()
         taken_off = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
         sd[own[:, 0]] = np.where(taken_off, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
-        sd[own[:, 4]] = 0.5 * data.kernel.dt  # a torque held over a sample acts half a sample later than its stamp
+        sd[own[:, 4]] = limit.STAMPS * data.kernel.dt  # a torque held over a sample acts half a sample later than its stamp
         friction, grams = np.zeros((n, 2)), []
         for j in range(n):
             X = base_columns(source, rows[j])

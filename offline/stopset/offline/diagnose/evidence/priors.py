@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,9 +23,9 @@ class Known:
 
     friction: Array
     gain: float = 1.0
-    gain_std: float = limit.DRIVES
-    spread: float = limit.DRIFT
-    scales: tuple[float, ...] = limit.KNOWN_SCALES
+    gain_std: float = field(default_factory=lambda: limit.DRIVES)
+    spread: float = field(default_factory=lambda: limit.DRIFT)
+    scales: tuple[float, ...] = field(default_factory=lambda: limit.KNOWN_SCALES)
 
 
 def link_tolerance(robot: Robot, tol: Tolerance) -> Array:

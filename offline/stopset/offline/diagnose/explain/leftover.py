@@ -34,7 +34,7 @@ def pattern(now: Hypothesis, theta: Array, hyper: Hyper, joint: int, alone: Sequ
         return Pattern(tuple(pair.variable.split(" * ")), pair.share, together=True)
     if best is None or best.gain <= least:
         return None
-    strong = [d for d in alone if d.gain > least and d.share > limit.NAMED_BESIDE * best.share][:3]
+    strong = [d for d in alone if d.gain > least and d.share > limit.NAMED_BESIDE * best.share][: limit.VARIABLES]
     names = dict.fromkeys(part for d in strong for part in d.variable.split(" * "))
     return Pattern(tuple(names), best.share, together=False)
 

@@ -38,7 +38,7 @@ def period_of(trials: Sequence[Recording]) -> float:
     usual = float(np.median([np.median(np.diff(r.t)) for r in trials]))
     uneven = [r.t for r in trials if not _even(r.t, usual)]
     clocks = [clock for t in uneven if (clock := _clock(t, usual)[0]) is not None]
-    if not clocks or 2 * len(uneven) < len(trials):
+    if not clocks or len(uneven) < limit.UNEVEN * len(trials):
         return usual
     return float(np.median([np.min(np.diff(clock)) for clock in clocks]))
 

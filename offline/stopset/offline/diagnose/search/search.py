@@ -9,7 +9,6 @@ import numpy as np
 
 from stopset.effects import catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.columns.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
@@ -18,6 +17,7 @@ from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
+from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.search.settle import added, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.progress import Progress, silent

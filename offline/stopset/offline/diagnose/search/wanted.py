@@ -54,9 +54,8 @@ def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wan
 
     There noise common to torque and column can't decide, and calming would hide a swing of more than 5 Hz.
     """
-    noisiest = sorted((j for j in range(engine.data.n) if hyper.kappa[j] > limit.FAR_OVER_NOISE), key=lambda j: -hyper.kappa[j])[
-        :3
-    ]
+    far = (j for j in range(engine.data.n) if hyper.kappa[j] > limit.FAR_OVER_NOISE)
+    noisiest = sorted(far, key=lambda j: -hyper.kappa[j])[: limit.SWING_JOINTS]
     out: list[Wanted] = []
     for effect in catalogue().values():
         if names is not None and effect.name not in names:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+
+from stopset.artifact import Model
+from stopset.errors import ModelFileError
 
 HORIZON = 5.0  # [s] the paper's test suites are "up to 5 seconds long" (sec. V-B)
 
@@ -23,3 +26,18 @@ class Settings:
     mixed: bool = False  # recordings of several conditions are taken as one
     friction: str = "evidence"  # laws beside Coulomb and viscous are chosen by held-out error; "plain": none but those asked for
     ladder: bool = False  # the next abstraction is tried where the sets of the linear model say too little
+
+
+def settings_of(model: Model) -> Settings:
+    """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
+    stored = dict(model.provenance.get("settings", {}))
+    stored["effects"] = tuple(stored.get("effects", ()))
+    stored.setdefault("friction", "plain")  # models older than the choice had none
+    try:
+        return Settings(**stored)
+    except TypeError as e:
+        unknown = ", ".join(sorted(stored.keys() - {f.name for f in fields(Settings)}))
+        raise ModelFileError(
+            f"the model was identified with settings that this stopset does not have ({unknown}); expected those of its version: "
+            "identify again"
+        ) from e

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Abstraction, UncertaintySets
-from stopset.offline.conform.corners import Trial
-from stopset.reach.flowpipe import DeviationTube, predict
+from stopset.offline.abstraction.grid import Trial
+from stopset.reach.flowpipe import DeviationTube
 from stopset.reach.nonlinear import predicted_tube
+from stopset.reach.predict import predict
 from stopset.types import Array
 
 AGES = (0.0, 0.1, 1.0)  # [s] the first: one sample

@@ -12,7 +12,7 @@ from functools import reduce
 import numpy as np
 
 from stopset.errors import RecordingError
-from stopset.offline.conform.reading_error import ReadingError, ReadingResidual, reading_residual
+from stopset.offline.campaign.reading_error import ReadingError, ReadingResidual, reading_residual
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 from stopset.types import Array

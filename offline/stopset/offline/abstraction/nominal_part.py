@@ -14,10 +14,10 @@ from stopset.effects.base import Effect, Fitted, Signals
 from stopset.effects.registry import get
 from stopset.effects.selection import base, matches, of_part, parse_effect
 from stopset.errors import EffectError
+from stopset.offline.campaign.noise import TELLING
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.survey import Survey, on_grid
 from stopset.offline.campaign.trials import Pairs, Source
-from stopset.offline.conform.noise import TELLING
-from stopset.offline.identify.settings import Settings
 from stopset.offline.inspect.gate import check_torque
 from stopset.offline.nominal.friction_choice import Gain, choose
 from stopset.offline.nominal.known_effects import described, plain
@@ -27,7 +27,7 @@ from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
 from stopset.offline.nominal.preprocess import Preprocessing
-from stopset.recording import Meta, Recording
+from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
 from stopset.types import Array
@@ -56,13 +56,9 @@ class NominalPart:
     unseen: float | None = None
 
 
-def fit_nominal(
-    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...] = ()
-) -> NominalPart:
-    """Everything that must be known before the sets, from all trials of ``source``."""
-    if meta.effort == "compensated_torque":
-        return _compensated(robot, found, settings, known)
-    return _motor(robot, meta, source, found, settings, known)
+def fit_nominal(run: Run, known: tuple[Fitted, ...] = ()) -> NominalPart:
+    """Everything that must be known before the sets, from all trials of ``run``; numbers of the ``known`` effects are kept."""
+    return _compensated(run, known) if run.meta.effort == "compensated_torque" else _motor(run, known)
 
 
 def regressed(effect: Effect) -> bool:
@@ -70,11 +66,12 @@ def regressed(effect: Effect) -> bool:
     return effect.scope == "joint" and not effect.states and not effect.shapes and set(effect.needs) <= {"dq", "load"}
 
 
-def _compensated(robot: Robot, found: Survey, settings: Settings, known: Sequence[Fitted]) -> NominalPart:
+def _compensated(run: Run, known: Sequence[Fitted]) -> NominalPart:
     """Torque that already is ``u``: one lag per joint with its effects, by output error; numbers that are ``known`` stay."""
+    robot, found = run.robot, run.survey
     sample = [g for g in (on_grid(r, found.dt) for r in found.sample) if len(g.t) >= 3]
     batches = joint_batches(robot, sample, [found.warm(r) for r in sample], found.dt)
-    asked = [e for e in settings.effects if e not in base() and not any(matches(f, e) for f in known)]
+    asked = [e for e in run.settings.effects if e not in base() and not any(matches(f, e) for f in known)]
     wanted = [parse_effect(e, robot) for e in asked]
     expected = np.diag(mean_inertia(robot, robot.rotor, found))
     fits = []
@@ -107,13 +104,14 @@ def _compensated(robot: Robot, found: Survey, settings: Settings, known: Sequenc
     )
 
 
-def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
+def _motor(run: Run, known: tuple[Fitted, ...]) -> NominalPart:
     """Motor torque: rigid body, rotors and friction by regression, laws of friction by evidence."""
+    robot, found, settings = run.robot, run.survey, run.settings
     cad = described(robot, known)
     asked = [e for e in settings.effects if regressed(parse_effect(e, robot)[0]) and not any(matches(f, e) for f in known)]
 
     def trials() -> Iterator[Recording]:
-        return (plain(r, cad, known, found.warm(r)) for r in source())
+        return (plain(r, cad, known, found.warm(r)) for r in run.trials())
 
     prepared = Preprocessing(low_pass=found.low_pass)
     chosen: tuple[Gain, ...] = ()
@@ -122,7 +120,7 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
         chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred, prepared)
     laws = tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen))))
     nominal = identify_nominal(cad, trials, laws, settings=prepared)
-    strange = check_torque(cad, meta, nominal.data)
+    strange = check_torque(cad, run.meta, nominal.data)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")
@@ -130,15 +128,14 @@ def _motor(robot: Robot, meta: Meta, source: Source, found: Survey, settings: Se
     return replace(_regressed(robot, cad, nominal, found, known, notes), chosen=chosen)
 
 
-def refitted(
-    robot: Robot, meta: Meta, source: Source, found: Survey, settings: Settings, known: tuple[Fitted, ...], like: NominalPart
-) -> NominalPart:  # fmt: skip
+def refitted(run: Run, known: tuple[Fitted, ...], like: NominalPart) -> NominalPart:
     """The laws of ``like``, their numbers from other trials; those of the ``known`` effects are kept."""
     if like.data is None:
-        return _compensated(robot, found, settings, known)
+        return _compensated(run, known)
+    robot, found = run.robot, run.survey
     cad = described(robot, known)
-    trials = [plain(r, cad, known, found.warm(r)) for r in source()]
-    nominal = identify_nominal(cad, lambda: trials, like.data.layout.effects, effort=meta.effort, settings=like.data.settings)
+    trials = [plain(r, cad, known, found.warm(r)) for r in run.trials()]
+    nominal = identify_nominal(cad, lambda: trials, like.data.layout.effects, effort=run.meta.effort, settings=like.data.settings)
     return _regressed(robot, cad, nominal, found, known, ())
 
 

@@ -17,7 +17,8 @@ from stopset.offline.compare.compare import Comparison, Violation, inputs
 from stopset.offline.compare.tubes import around
 from stopset.offline.compare.verdict import AT_THE_FLOOR, above, by_failure
 from stopset.offline.report.thin import extremes, hulls
-from stopset.reach.flowpipe import deviation_tube, predict
+from stopset.reach.flowpipe import deviation_tube
+from stopset.reach.predict import predict
 from stopset.recording import Recording
 from stopset.types import Array
 

@@ -9,7 +9,7 @@ import numpy as np
 from stopset.artifact import Abstraction
 from stopset.offline.campaign.trials import Pairs
 from stopset.offline.nominal.open_loop import RollOut
-from stopset.reach.flowpipe import predict
+from stopset.reach.predict import predict
 from stopset.recording import Recording, SuiteKey
 from stopset.sets import Box
 from stopset.types import Array
@@ -17,6 +17,8 @@ from stopset.types import Array
 AVERAGING = (
     0.2  # [s] torque errors and deviations are averages over such windows, a stop's length: momentum balance, no differentiation
 )
+# trap P11: rad and rad/s are not addable. A velocity counts as the way it goes within a typical stop.
+STOP_TIME = 0.2  # [s]
 KINDS = ("torque", "velocity", "position")
 TOGETHER = 128  # trials simulated side by side
 REPEATED = ("torque", "position")  # whose scatter between repetitions is known

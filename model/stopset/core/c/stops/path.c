@@ -1,0 +1,373 @@
+/* STOP 1 along a programmed path: the shortest stop that keeps the arm on q = p(s) within the drives' torque.
+ *
+ * Along a path the torques are lines over s'' and s'^2, so at every knot of a grid the hardest deceleration is an end of an interval,
+ * with the torques at both ends of the step within what friction leaves; s'^2 is a line over s in between. Three passes: each takes
+ * its grid from the length that the one before has found. What lies between the knots is looked at four times as densely.
+ *
+ * Source: Pham & Pham (2018), A new approach to time-optimal path parameterization based on reachability analysis, eq. 5 and 13.
+ */
+#include <math.h>
+#include <string.h>
+
+#include "bound.h"
+
+enum { ROUGH = 20, GRID = 60, LONGEST = 4, DENSE = 4, EARLY = 60, MOST_STEPS = LONGEST * GRID, POSES = EARLY + MOST_STEPS * DENSE + 1 };
+static const double RESERVE = 0.02; /* share of the torque kept for what happens between the knots */
+static const double HAIR = 1e-12;   /* of evaluating a cubic, relative */
+static const double ROOMY = 1e-3;   /* by which the last grid is wider than the length found, so that the stop ends on it */
+
+/* Torque of body `side` and joint i: u a + x b + c, with x = s'^2, u = s''. */
+typedef struct {
+    double a[2][SN], b[2][SN], c[2][SN];
+} Lines;
+
+/* x at the knots, `step` apart in s. */
+typedef struct {
+    double x[MOST_STEPS + 1], step, length; /* length: where x would be zero, had the last step gone on */
+    int made;
+} Profile;
+
+typedef struct {
+    const StopsetStops *stops;
+    const StopsetRamp *ramp;
+    const StopsetPath *path;
+    int n;
+    double off[SN], off_speed[SN]; /* of the arm from its path, as read */
+    double body[2][10 * SN];
+} Task;
+
+static int piece_of(const StopsetPath *p, double s) {
+    int lo = 0, hi = p->pieces - 1;
+    while (lo < hi) {
+        const int middle = (lo + hi + 1) / 2;
+        if (p->knots[middle] <= s)
+            lo = middle;
+        else
+            hi = middle - 1;
+    }
+    return lo;
+}
+
+static void place(const Task *t, double s, double *q, double *first, double *second) {
+    const int k = piece_of(t->path, s);
+    const double x = s - t->path->knots[k];
+    for (int i = 0; i < t->n; i++) {
+        const double *c = t->path->coefficient + 4 * ((int64_t)k * t->n + i);
+        q[i] = c[0] + x * (c[1] + x * (c[2] + x * c[3]));
+        first[i] = c[1] + x * (2.0 * c[2] + x * (3.0 * c[3]));
+        second[i] = 2.0 * c[2] + x * (6.0 * c[3]);
+    }
+}
+
+static double cubic(const double *c, double x) { return c[0] + x * (c[1] + x * (c[2] + x * c[3])); }
+
+/* The ends of joint i's angle on [from, to] of one piece, and what is steepest there. */
+static void over_piece(const double *c, double from, double to, double *lo, double *hi, double *first, double *second) {
+    double at[4] = {from, to, from, to};
+    const double root = c[2] * c[2] - 3.0 * c[3] * c[1], bend = -(c[2] + (c[2] < 0.0 ? -1.0 : 1.0) * sqrt(most(root, 0.0)));
+    if (root >= 0.0) { /* where it turns round; no number where it does not */
+        at[2] = bend / (3.0 * c[3]);
+        at[3] = c[1] / bend;
+    }
+    for (int k = 0; k < 4; k++) {
+        if (!(at[k] >= from && at[k] <= to)) continue;
+        const double y = cubic(c, at[k]), hair = HAIR * (1.0 + size_of(y));
+        *lo = least(*lo, y - hair);
+        *hi = most(*hi, y + hair);
+    }
+    const double vertex = -c[2] / (3.0 * c[3]), ends[3] = {from, to, vertex >= from && vertex <= to ? vertex : from};
+    for (int k = 0; k < 3; k++) *first = most(*first, size_of(c[1] + ends[k] * (2.0 * c[2] + ends[k] * (3.0 * c[3]))) * (1.0 + HAIR));
+    for (int k = 0; k < 2; k++) *second = most(*second, size_of(2.0 * c[2] + 6.0 * c[3] * ends[k]) * (1.0 + HAIR));
+}
+
+/* Least and largest angles on [begin, end], largest |dp/ds| and |d2p/ds2|, (n,) each. */
+static void stretch(const Task *t, double begin, double end, double *lo, double *hi, double *first, double *second) {
+    const StopsetPath *p = t->path;
+    for (int i = 0; i < t->n; i++) {
+        lo[i] = STOPS_INF;
+        hi[i] = -STOPS_INF;
+        first[i] = second[i] = 0.0;
+    }
+    for (int k = piece_of(p, begin); k < p->pieces && (p->knots[k] < end || k == piece_of(p, begin)); k++)
+        for (int i = 0; i < t->n; i++) {
+            const double from = most(begin, p->knots[k]) - p->knots[k], to = least(end, p->knots[k + 1]) - p->knots[k];
+            over_piece(p->coefficient + 4 * ((int64_t)k * t->n + i), from, most(from, to), lo + i, hi + i, first + i, second + i);
+        }
+}
+
+/* The plant with what the effects give on a stretch of the path, passed at `rate` at most; 0 where they have no bound. */
+static int there(const Task *t, double begin, double end, double rate, double friction[6 * SN], double top[SN], StopsetPlant *out) {
+    double lo[SN], hi[SN], second[SN], speed[SN];
+    stretch(t, begin, end, lo, hi, top, second);
+    for (int i = 0; i < t->n; i++) {
+        top[i] *= rate;
+        lo[i] -= t->off[i];
+        hi[i] += t->off[i];
+        speed[i] = top[i] + t->off_speed[i];
+    }
+    return stops_near(t->stops, lo, hi, speed, friction, out);
+}
+
+static double rubbing(const StopsetPlant *p, int i, double speed) {
+    return p->coulomb_hi[i] + p->viscous_hi[i] * speed + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
+}
+
+/* What the rigid body may use of every drive on a stretch; the joint whose drive has nothing left, or -1. */
+static int room_of(const Task *t, double begin, double end, double rate, double room[SN]) {
+    double friction[6 * SN], top[SN];
+    StopsetPlant plant;
+    int worst = -1;
+    if (!there(t, begin, end, rate, friction, top, &plant)) return 0;
+    for (int i = 0; i < t->n; i++) {
+        room[i] = t->ramp->limit[i] * (1.0 - RESERVE) - rubbing(&plant, i, top[i]);
+        if (!(room[i] > 0.0) && (worst < 0 || room[i] < room[worst])) worst = i;
+    }
+    return worst;
+}
+
+static void lines_at(const Task *t, double s, Lines *out) {
+    double q[3 * SN], first[SN], second[SN], v[3 * SN] = {0}, a[3 * SN] = {0}, tau[3 * SN];
+    StopsetArm arm = t->stops->plant.arm;
+    const int n = t->n;
+    place(t, s, q, first, second);
+    for (int k = 1; k < 3; k++) memcpy(q + k * n, q, (size_t)n * sizeof *q);
+    memcpy(a + n, first, (size_t)n * sizeof *a);
+    memcpy(a + 2 * n, second, (size_t)n * sizeof *a);
+    memcpy(v + 2 * n, first, (size_t)n * sizeof *v);
+    for (int side = 0; side < 2; side++) {
+        arm.pi = t->body[side];
+        stopset_torques(&arm, 3, q, v, a, tau);
+        for (int i = 0; i < n; i++) {
+            const double rotor = t->stops->plant.rotor[i];
+            out->c[side][i] = tau[i];
+            out->a[side][i] = tau[n + i] - tau[i] + rotor * first[i];
+            out->b[side][i] = tau[2 * n + i] - tau[i] + rotor * second[i];
+        }
+    }
+}
+
+/* [lo, hi] cut to the u with |slope u + rest| <= room. */
+static void cut(double slope, double rest, double room, double *lo, double *hi) {
+    if (size_of(slope) <= 1e-12 * room) {
+        if (size_of(rest) > room) *lo = STOPS_INF;
+        return;
+    }
+    const double one = (-room - rest) / slope, other = (room - rest) / slope;
+    *lo = most(*lo, least(one, other));
+    *hi = least(*hi, most(one, other));
+}
+
+/* The decelerations that the torques at both ends of a step allow; whether there are any. */
+static int allowed(const Task *t, const Lines *here, const Lines *next, double x, double step, const double room[SN], double *lo, double *hi) {
+    *lo = -STOPS_INF;
+    *hi = STOPS_INF;
+    for (int side = 0; side < 2; side++)
+        for (int i = 0; i < t->n; i++) {
+            cut(here->a[side][i], here->b[side][i] * x + here->c[side][i], room[i], lo, hi);
+            if (next) cut(next->a[side][i] + 2.0 * step * next->b[side][i], next->b[side][i] * x + next->c[side][i], room[i], lo, hi);
+        }
+    return *lo <= *hi;
+}
+
+/* Full braking from s = begin at `rate` on a grid of `step`; whether it ends on the path. */
+static int brake(const Task *t, double begin, double rate, double step, const double room[SN], Profile *out) {
+    const double last = t->path->knots[t->path->pieces];
+    Lines both[2];
+    out->x[0] = rate * rate;
+    out->step = step;
+    lines_at(t, begin, both);
+    for (int k = 0; k < MOST_STEPS; k++) {
+        const double x = out->x[k], s = begin + (k + 1) * step, whole = -x / (2.0 * step);
+        double lo, hi;
+        if (!(s <= last * (1.0 + HAIR))) return 0;
+        lines_at(t, least(s, last), both + (k + 1) % 2);
+        if (!allowed(t, both + k % 2, both + (k + 1) % 2, x, step, room, &lo, &hi) || whole > hi) return 0;
+        out->made = k + 1;
+        if (lo <= whole) {
+            out->x[k + 1] = 0.0;
+            out->length = (k + whole / lo) * step;
+            return 1;
+        }
+        out->x[k + 1] = x + 2.0 * step * lo;
+    }
+    return 0;
+}
+
+/* The shortest stop; a code. */
+static int shortest(const Task *t, double begin, double rate, StopsetPassed *passed, Profile *out) {
+    const double left = t->path->knots[t->path->pieces] - begin;
+    const int steps[3] = {ROUGH, GRID, GRID};
+    double room[SN], lo, hi, length = left;
+    Lines here;
+    passed->joint = room_of(t, begin, begin, rate, room);
+    if (passed->joint >= 0) return STOPSET_PATH_WEAK;
+    lines_at(t, begin, &here);
+    if (!allowed(t, &here, 0, rate * rate, 0.0, room, &lo, &hi)) return STOPSET_PATH_FAST;
+    if (lo < 0.0) length = least(length, rate * rate / (-2.0 * lo));
+    for (int pass = 0; pass < 3; pass++) { /* the region that friction is looked up in holds a stop half as long again */
+        passed->joint = room_of(t, begin, begin + least(1.5 * length, left), rate, room);
+        if (passed->joint >= 0) return STOPSET_PATH_WEAK;
+        double step = least(length * (1.0 + ROOMY), left) / steps[pass];
+        for (int tries = 0; !brake(t, begin, rate, step, room, out); tries++) { /* too long for the grid, or for the path */
+            if (tries > 5) return STOPSET_PATH_FAST;
+            step = tries ? step * 2.0 : left / steps[pass];
+        }
+        length = least(out->length, left);
+    }
+    return STOPSET_OK;
+}
+
+/* A pose, its speeds, and whether the speeds are beyond the arm's. */
+static int pass(const Task *t, StopsetPassed *p, double s, const double *q, const double *speed) {
+    const int64_t at = p->poses++ * t->n;
+    p->s[p->poses - 1] = s;
+    for (int i = 0; i < t->n; i++) {
+        p->q[at + i] = q[i];
+        p->dq[at + i] = speed[i];
+        if (size_of(speed[i]) > t->path->fastest[i] * (1.0 + 1e-9)) p->joint = i;
+    }
+    return p->joint >= 0;
+}
+
+/* What is passed from s0 on, and the least torque left on the way; a code. */
+static int look(const Task *t, double s0, double rate, double begin, const Profile *f, StopsetPassed *p) {
+    const int n = t->n;
+    const double end = begin + f->made * f->step;
+    double q[SN], first[SN], second[SN], v[SN], a[SN], tau[SN], friction[6 * SN], top[SN];
+    StopsetPlant plant;
+    StopsetArm arm = t->stops->plant.arm;
+    p->rate = rate;
+    for (int k = 0; k < EARLY; k++) {
+        const double s = s0 + (begin - s0) * k / (EARLY - 1);
+        place(t, s, q, first, second);
+        for (int i = 0; i < n; i++) v[i] = first[i] * rate;
+        if (pass(t, p, s, q, v)) return STOPSET_PATH_SPEED;
+    }
+    for (int k = 0; k <= f->made; k++) p->rate = most(p->rate, sqrt(f->x[k]));
+    if (!there(t, begin, least(end, t->path->knots[t->path->pieces]), p->rate, friction, top, &plant)) return STOPSET_PATH_WEAK;
+    for (int k = 0; k < f->made; k++) {
+        const double u = (f->x[k + 1] - f->x[k]) / (2.0 * f->step);
+        p->time += 2.0 * f->step / (sqrt(f->x[k]) + sqrt(f->x[k + 1]));
+        for (int part = 0; part < DENSE; part++) {
+            const double ahead = f->step * part / DENSE, s = begin + k * f->step + ahead, sd = sqrt(most(f->x[k] + 2.0 * u * ahead, 0.0));
+            place(t, s, q, first, second);
+            for (int i = 0; i < n; i++) {
+                v[i] = first[i] * sd;
+                a[i] = first[i] * u + second[i] * (sd * sd);
+            }
+            if (pass(t, p, s, q, v)) return STOPSET_PATH_SPEED;
+            for (int side = 0; side < 2; side++) {
+                arm.pi = t->body[side];
+                stopset_torques(&arm, 1, q, v, a, tau);
+                for (int i = 0; i < n; i++) {
+                    const double used = size_of(tau[i] + plant.rotor[i] * a[i]);
+                    p->room = least(p->room, t->ramp->limit[i] - used - rubbing(&plant, i, size_of(v[i])));
+                }
+            }
+        }
+    }
+    memset(v, 0, sizeof v);
+    place(t, least(end, t->path->knots[t->path->pieces]), q, first, second);
+    pass(t, p, end, q, v);
+    return p->room < 0.0 ? STOPSET_PATH_SHORT : STOPSET_OK;
+}
+
+/* How far the arm is moved, how fast, in joints and at the tool; what lies between two poses is within half their spacing of one. */
+static void bound(const Task *t, double s0, const StopsetPassed *p, const StopsetBound *out) {
+    const int n = t->n;
+    const StopsetArm *arm = &t->stops->plant.arm;
+    double lo[SN], hi[SN], first[SN], second[SN], J[3 * SN], here[3], start[3], spacing = 0.0, far = 0.0, fast = 0.0;
+    double reach = sqrt(t->stops->tool[0] * t->stops->tool[0] + t->stops->tool[1] * t->stops->tool[1] + t->stops->tool[2] * t->stops->tool[2]);
+    double off = 0.0, sway = 0.0, turned = 0.0, bent = 0.0;
+    stretch(t, s0, least(s0 + p->length, t->path->knots[t->path->pieces]), lo, hi, first, second);
+    for (int i = 1; i < n; i++) reach += sqrt(arm->p[3 * i] * arm->p[3 * i] + arm->p[3 * i + 1] * arm->p[3 * i + 1] + arm->p[3 * i + 2] * arm->p[3 * i + 2]);
+    for (int64_t k = 1; k < p->poses; k++) spacing = most(spacing, p->s[k] - p->s[k - 1]);
+    for (int i = 0; i < n; i++) {
+        const double more = t->ramp->q_error[i];
+        out->forward[i] = most(hi[i] - p->q[i], 0.0) + more;
+        out->back[i] = most(p->q[i] - lo[i], 0.0) + more;
+        out->speed[i] = p->rate * first[i] + t->ramp->dq_error[i];
+        off += 0.5 * spacing * first[i] + t->off[i];
+        sway += t->ramp->dq_error[i];
+        turned += first[i];
+        bent += second[i];
+    }
+    for (int64_t k = 0; k < p->poses; k++) {
+        double pose[SN], slope[SN], curve[SN], move = 0.0, pace = 0.0;
+        place(t, least(p->s[k], t->path->knots[t->path->pieces]), pose, slope, curve);
+        stopset_point(arm, pose, n - 1, t->stops->tool, here, J);
+        if (!k) memcpy(start, here, sizeof start);
+        for (int x = 0; x < 3; x++) {
+            double going = 0.0;
+            for (int i = 0; i < n; i++) going += J[x * n + i] * slope[i];
+            move += (here[x] - start[x]) * (here[x] - start[x]);
+            pace += going * going;
+        }
+        far = most(far, move);
+        fast = most(fast, pace);
+    }
+    out->tool[0] = sqrt(far) + reach * off;
+    out->tool[1] = p->rate * (sqrt(fast) + 0.5 * spacing * reach * (turned * turned + bent)) + reach * sway;
+}
+
+/* Whether every state passed lies where the model speaks. */
+static int seen(const Task *t, const StopsetPassed *p) {
+    const int n = t->n;
+    if (!t->path->seen_lo) return 1;
+    for (int64_t k = 0; k < p->poses; k++)
+        for (int i = 0; i < n; i++) {
+            const double q = p->q[k * n + i], dq = p->dq[k * n + i];
+            if (!(q >= t->path->seen_lo[i] && q <= t->path->seen_hi[i])) return 0;
+            if (!(dq >= t->path->seen_lo[n + i] && dq <= t->path->seen_hi[n + i])) return 0;
+        }
+    return 1;
+}
+
+/* The joint that the rest of the path takes beyond the arm's limits, or -1. */
+static int beyond(const Task *t, double s0) {
+    double lo[SN], hi[SN], first[SN], second[SN];
+    stretch(t, s0, t->path->knots[t->path->pieces], lo, hi, first, second);
+    for (int i = 0; i < t->n; i++)
+        if (!(lo[i] >= t->path->q_lo[i] - 1e-9 && hi[i] <= t->path->q_hi[i] + 1e-9)) return i;
+    return -1;
+}
+
+int64_t stopset_path_room(int n) { return POSES * (1 + 2 * (int64_t)n); }
+
+int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetPath *path, double s, double rate, double *work,
+                      StopsetPassed *passed, const StopsetBound *out) {
+    Task t = {stops, ramp, path, stops->plant.arm.n, {0}, {0}, {{0}}};
+    Profile f;
+    double after = 0.0, control = 0.0;
+    if (t.n < 1 || t.n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    for (int i = 0; i < t.n; i++) {
+        t.off[i] = ramp->q_error[i] + path->noise[i];
+        t.off_speed[i] = ramp->dq_error[i] + path->noise[t.n + i];
+        control = most(control, ramp->control_hi[i]);
+        if (!(ramp->dq_error[i] <= ramp->band[i])) after = ramp->settle;
+    }
+    for (int k = 0; k < 10 * t.n; k++)
+        for (int side = 0; side < 2; side++) t.body[side][k] = stops->plant.arm.pi[k] + (side ? 1.0 : -1.0) * stops->plant.pi_half[k];
+    StopsetPassed none = {0, -1, 0.0, 0.0, control, STOPS_INF, 0.0, work, work + POSES, work + POSES + POSES * (int64_t)t.n};
+    *passed = none;
+    passed->begin = s + rate * control;
+    if (!(s >= 0.0 && s < path->knots[path->pieces] && rate > 0.0 && rate < STOPS_INF)) return STOPSET_OUT_OF_RANGE;
+    if (!(passed->begin < path->knots[path->pieces])) return STOPSET_PATH_ENDS;
+    passed->joint = beyond(&t, s);
+    if (passed->joint >= 0) return STOPSET_PATH_BEYOND;
+    double q[SN], first[SN], second[SN];
+    place(&t, s, q, first, second);
+    for (int i = 0; i < t.n; i++)
+        if (!(size_of(first[i] * rate) <= path->fastest[i] * (1.0 + 1e-9))) passed->joint = i;
+    if (passed->joint >= 0) return STOPSET_PATH_SPEED;
+    int code = shortest(&t, passed->begin, rate, passed, &f);
+    if (!code) code = look(&t, s, rate, passed->begin, &f, passed);
+    if (code) return code;
+    passed->length = passed->begin - s + f.made * f.step;
+    bound(&t, s, passed, out);
+    for (int i = 0; i < t.n; i++) out->time[i] = passed->time + after;
+    if (!seen(&t, passed)) return STOPSET_PATH_UNSEEN;
+    if (!(after >= 0.0)) return STOPSET_PATH_UNSETTLED;
+    const double *last = passed->q + (passed->poses - 1) * t.n;
+    return stops_held(stops, passed->q, t.off) && stops_held(stops, last, t.off) ? STOPSET_OK : STOPSET_PATH_FALLS;
+}

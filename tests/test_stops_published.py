@@ -1,0 +1,108 @@
+"""Every number that a stop bound publishes is held against simulated stops, in every category, along paths and from the corners
+of the monitor's boxes; each made too small is contradicted."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import fields, replace
+from pathlib import Path as File
+
+import numpy as np
+import pytest
+
+from stop_published import (
+    ASKED_BY,
+    CHECKED,
+    NOT_ALONG_A_PATH,
+    WORDS,
+    Stopped,
+    beyond,
+    failed_ramp,
+    power_off,
+    ramp_motion,
+    weakened,
+    working_ramp,
+)  # fmt: skip
+from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
+from stopset.sets import Box
+
+sys.path.insert(0, str(File(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like
+
+N, STATES, STOPS = 6, 3, 10
+RAMP = replace(
+    Ramp.stated(N, time=0.3), value=Box.of(np.full(N, 0.28), np.full(N, 0.32)), control=Box.of(np.full(N, 0.01), np.full(N, 0.024)),
+    q_error=np.full(N, 2e-3), dq_error=np.full(N, 0.04), settle=0.1, pace=(-0.4, 0.4), off_after=0.15,
+)  # fmt: skip
+BOUNDS = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMP, pieces=8)
+WATCHED = replace(BOUNDS, ramp=replace(RAMP, monitored=True, off_after=None))
+POINT = (np.zeros(N), np.zeros(N))
+BOX = (np.full(N, 0.01), np.full(N, 0.05))
+
+
+def states() -> list[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(71)
+    return [(rng.uniform(-2.0, 2.0, N), rng.uniform(-1.1, 1.1, N)) for _ in range(STATES)]
+
+
+def stops_of(bounds: StopBounds, b: StopBound, q: np.ndarray, dq: np.ndarray, radii=POINT) -> list[Stopped]:  # type: ignore[no-untyped-def]
+    assert b.time is not None
+    lasts = float(b.time.max())
+    if b.category == "0":
+        return list(power_off(bounds, q, dq, radii, lasts, STOPS, 5))
+    if b.category == "1 guaranteed":
+        return list(failed_ramp(bounds, q, dq, radii, lasts, STOPS, 6))
+    return list(working_ramp(bounds, q, dq, radii, bounds.ramp.window if b.category == "2" else 0.0, STOPS, 7))
+
+
+def test_every_number_has_a_check() -> None:
+    """A field, property or method of `StopBound` that is neither checked nor named as words is a number nobody holds."""
+    methods = {name for name in vars(StopBound) if not name.startswith("_")} - {f.name for f in fields(StopBound)}
+    numbers = {f.name for f in fields(StopBound)} | methods
+    assert numbers == set(CHECKED) | WORDS | set(ASKED_BY)
+    assert all(set(names) <= set(CHECKED) for names in ASKED_BY.values())
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+@pytest.mark.parametrize("radii", [POINT, BOX], ids=["a state", "a monitor's box"])
+def test_no_stop_contradicts_a_number(category: Category, radii: tuple[np.ndarray, np.ndarray]) -> None:
+    for q, dq in states():
+        for bounds in (BOUNDS, WATCHED) if category == "1 guaranteed" else (BOUNDS,):
+            bound = bounds.bound(q, dq, category, *radii)
+            assert bound.certified, bound.why
+            for x in stops_of(bounds, bound, q, dq, radii):
+                assert beyond(bounds, bound, x) == set()
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_each_number_made_too_small_is_contradicted(category: Category) -> None:
+    found = set()
+    for q, dq in states():
+        bound = BOUNDS.bound(q, dq, category)
+        stops = stops_of(BOUNDS, bound, q, dq)
+        for name in CHECKED:
+            if name in found or (name == "fallback" and bound.fallback is None):
+                continue
+            weak = weakened(bound, name)
+            found |= {name for x in stops[: STOPS // 2] if name in beyond(BOUNDS, weak, x)}
+    assert found == set(CHECKED) - (set() if category == "2" else {"fallback"})
+
+
+def test_no_stop_along_a_path_contradicts_a_number() -> None:
+    pytest.importorskip("toppra")
+    from stopset.reach.stops.path import Path, path_stop
+
+    points = np.array([[0.0, 0.3, 0.4, 0.0, 0.5, 0.0], [0.5, 0.6, 0.1, 0.2, 0.3, 0.2], [1.0, 0.5, -0.4, 0.5, 0.2, 0.6]])
+    path, rng = Path.through(points), np.random.default_rng(4)
+    bounds = replace(BOUNDS, ramp=replace(RAMP, pace=(0.0, 0.0)))
+    stop = path_stop(bounds, path, 0.2, 1.2)
+    assert stop.bound.certified
+    s = 0.2 + np.linspace(0.0, 1.0, 400) ** 0.5 * stop.length  # denser where it is slow; time is of no matter here
+    for _ in range(STOPS):
+        start = bounds.setting.noise.radius[:N] * rng.choice([-1.0, 1.0], N)
+        t, off, ring = ramp_motion(bounds.ramp, np.zeros(N), rng)
+        at = np.minimum(np.arange(400) * len(t) // 400, len(t) - 1)
+        # the whole rate until the last pose: faster than the stop itself is anywhere
+        q, v = path.p(s, 0) + start + off[at], 1.2 * path.p(s, 1) * (s < s[-1])[:, None] + ring[at]
+        x = Stopped(t[at], q, v, np.full(N, stop.time), np.full(N, np.inf))
+        assert beyond(bounds, stop.bound, x, NOT_ALONG_A_PATH) == set()
