@@ -14,8 +14,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("model", "offline", "monitor", "fmu")
@@ -49,37 +50,59 @@ def cost(words: Sequence[str | Path], env: dict[str, str], where: Path) -> tuple
     return time.monotonic() - start, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="recordings of a real arm, with --robot; else a simulated campaign")
-    parser.add_argument("--robot", default="lwa4p")
-    parser.add_argument("--demo", action="store_true", help="the demo too, a minute or two")
-    args = parser.parse_args()
+class Cost(NamedTuple):
+    """Of one command: wall and processor seconds, peak MiB; first without compiled Python, then again."""
+
+    name: str
+    cold: tuple[float, float, float]
+    warm: tuple[float, float, float]
+
+
+def costs(data: Path | None, robot: str, *, demo: bool) -> Iterator[Cost]:
+    """Of each command on recordings ``data`` of a real arm, else on a simulated campaign; a table's head is printed."""
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         cli = ("-m", "stopset.cli.main")
-        made = work / "made"
+        made, model = work / "made", work / "m.json"
         plain = copied(work / "setup")
         cost([*cli, "simulate", "--plan", "short", "--seed", "1", "--out", made], plain, work)
-        data, robot = (args.data.resolve(), args.robot) if args.data else (made / "recording.parquet", made / "robot.urdf")
-        model = work / "m.json"
+        data, described = (data.resolve(), robot) if data else (made / "recording.parquet", str(made / "robot.urdf"))
         jobs: list[tuple[str, list[str | Path]]] = [
             ("stopset --help", [*cli, "--help"]),
             ("inspect", [*cli, "inspect", data]),
-            ("identify", [*cli, "identify", "--data", data, "--robot", robot, "--accept-wide", "--out", model]),
+            ("identify", [*cli, "identify", "--data", data, "--robot", described, "--accept-wide", "--out", model]),
+            ("compare", [*cli, "compare", model, "--data", data]),
             ("stops --at, STOP 0", [*cli, "stops", model, "--category", "0", "--at", "0,0.3,0.3,0,0.3,0", "--speed", "50%"]),
             ("first stop bound of a process", ["-c", FIRST_STOP, model]),
         ]
-        if args.demo:
+        if demo:
             jobs.append(("demo", [*cli, "demo", "--out", work / "demo"]))
         print(f"{'':32} {'cold: wall':>10} {'cpu s':>7} {'MiB':>6}   {'warm: wall':>10} {'cpu s':>7}   cold/warm cpu")
         for k, (name, words) in enumerate(jobs):
             env = copied(work / f"cold-{k}")
-            cold, warm = cost(words, env, work), cost(words, env, work)
-            print(
-                f"{name:32} {cold[0]:10.2f} {cold[1]:7.2f} {cold[2]:6.0f}   {warm[0]:10.2f} {warm[1]:7.2f}   {cold[1] / warm[1]:.2f}",
-                flush=True,
-            )
+            yield Cost(name, cost(words, env, work), cost(words, env, work))
+
+
+def arguments(doc: str | None) -> argparse.ArgumentParser:
+    """Which recordings: those of a real arm, or simulated ones."""
+    parser = argparse.ArgumentParser(description=doc)
+    parser.add_argument("--data", type=Path, help="recordings of a real arm, with --robot; else a simulated campaign")
+    parser.add_argument("--robot", default="lwa4p")
+    return parser
+
+
+def line(c: Cost) -> str:
+    """A row of the table."""
+    cold, warm = c.cold, c.warm
+    return f"{c.name:32} {cold[0]:10.2f} {cold[1]:7.2f} {cold[2]:6.0f}   {warm[0]:10.2f} {warm[1]:7.2f}   {cold[1] / warm[1]:.2f}"
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--demo", action="store_true", help="the demo too, a minute or two")
+    args = parser.parse_args()
+    for c in costs(args.data, args.robot, demo=args.demo):
+        print(line(c), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seed S] [--json FILE]``.
+"""Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seconds S] [--seed S] [--json FILE]``.
 
 Each input is a good one with bytes changed, cut, doubled, spliced, or numbers and brackets put where they hurt. A parser may
 take it or refuse it with an error of stopset's own; anything else is printed with the input that did it.
@@ -285,10 +285,14 @@ def changed(name: str, rng: random.Random, seeds: list[bytes]) -> bytes:
     return spoilt(rng, seeds)
 
 
-def fuzz(name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs: int, seed: int) -> Counter[str]:
-    """Outcomes by kind; foreign ones by the exception's name."""
-    rng, out = random.Random(f"{name} {seed}"), Counter[str]()
+def fuzz(
+    name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs: int, seed: int, seconds: float = math.inf
+) -> Counter[str]:
+    """Outcomes by kind; foreign ones by the exception's name. Ends early after ``seconds`` of processor time."""
+    rng, out, end = random.Random(f"{name} {seed}"), Counter[str](), time.process_time() + seconds
     for _ in range(inputs):
+        if time.process_time() > end:
+            break
         data = changed(name, rng, seeds)
         try:
             parse(data)
@@ -305,6 +309,9 @@ def fuzz(name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--inputs", type=int, default=1_000_000, help="per parser (files: a hundredth)")
+    parser.add_argument(
+        "--seconds", type=float, default=math.inf, help="of processor time per parser, then it ends with fewer inputs"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only")
     parser.add_argument("--json", type=Path)
@@ -320,8 +327,11 @@ def main() -> int:
             begin = time.process_time()
             in_memory = name in ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer")
             n = args.inputs if in_memory else max(1, args.inputs // 100)
-            found[name] = dict(fuzz(name, parse, seeds[name], n, args.seed))
-            print(f"{name:<18} {n:8} inputs in {time.process_time() - begin:6.1f} s CPU: {found[name]}", flush=True)
+            found[name] = dict(fuzz(name, parse, seeds[name], n, args.seed, args.seconds))
+            print(
+                f"{name:<19} {sum(found[name].values()):8} inputs in {time.process_time() - begin:6.1f} s CPU: {found[name]}",
+                flush=True,
+            )
     if args.json:
         args.json.write_text(json.dumps(found))
     return int(any("FOREIGN" in kind for counts in found.values() for kind in counts))

@@ -71,3 +71,21 @@ class Fault:
             columns = slice(None) if self.variant else [j]
             out[2, columns] = self._read[max(0, k - late)][2, columns]
         return out
+
+
+@dataclass
+class Spring(Fault):
+    """A spring that appears where the arm is, or rests at zero; up to a few times what the model may lack."""
+
+    q: Array = field(default_factory=lambda: np.zeros(6))
+    rest: float | None = None
+
+    def torque(self, k: int, u: Array, dq: Array) -> Array:
+        """As `Fault.torque`."""
+        out, j = np.zeros(6), self.joint
+        if k >= self.at:
+            if self.rest is None:
+                self.rest = float(self.q[j]) if self.variant else 0.0
+            out[j] = -(1.5 + 2.5 * self.size) * HALF[j] / 0.08 * (self.q[j] - self.rest)
+        self.q = self.q + dq * DT
+        return out

@@ -18,7 +18,7 @@ import pytest
 from mcap.reader import make_reader
 
 from monitor_arm import DT, known_model, meta, motion, with_torque_scaled
-from monitor_faults import KINDS, Fault
+from monitor_faults import KINDS, Fault, Spring
 from monitor_process import Ear, environment, free_port, running, write_config
 from monitor_world import EPOCH, World
 from patience import wait
@@ -27,11 +27,13 @@ from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.monitor.config import Records
 from stopset.monitor.evidence.cause import Kind
-from stopset.monitor.evidence.classify import AFTER
+from stopset.monitor.evidence.classify import AFTER, CREDIBLE, Case, Pushes, classify, late_torque
+from stopset.monitor.evidence.dynamics import Readings
 from stopset.monitor.evidence.mcap_file import McapFile
 from stopset.monitor.evidence.overheard import Overheard
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
+from stopset.monitor.jointstate import decode
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import State
 from stopset.monitor.links.hub import Hub
@@ -75,6 +77,37 @@ def test_every_fault_gets_its_class(arm: tuple[Path, Model], kind: Kind) -> None
         onset = cause["t"] - EPOCH * 1e-9 - fault.at * DT
         assert abs(onset) < (0.8 if kind in (Kind.DRIFT, Kind.MISSING_EFFECT) else 0.03), onset
         assert world.published[-1].m["violation_class"] == kind.code
+
+
+@pytest.mark.parametrize("seed", [3, 15, 21])
+def test_a_spring_that_appears_is_no_contact_and_no_drift(arm: tuple[Path, Model], seed: int) -> None:
+    """It rests anywhere, where the arm was when it came, say; half a second of its pull looks steady or growing."""
+    rng = np.random.default_rng([seed, 77])
+    fault = Spring(Kind.MISSING_EFFECT, rng, int(rng.integers(80, 140)))
+    (cause, *_) = reported(lived(arm, fault, seed))
+    assert cause["kind"] == Kind.MISSING_EFFECT and cause["depends_on"] == "q", cause
+    assert cause["joint"] == arm[1].joints[fault.joint]
+
+
+def test_a_delay_is_not_believed_where_a_law_explains_far_more(arm: tuple[Path, Model], monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[tuple[Any, ...]] = []
+
+    def look(*words: Any) -> Any:
+        looked.append(words)
+        return classify(*words)
+
+    monkeypatch.setattr("stopset.monitor.evidence.recorder.classify", look)
+    lived(arm, Fault(Kind.LATE_TORQUE, np.random.default_rng([1, KINDS.index(Kind.LATE_TORQUE)]), 100), 1)
+    window, first, joint, signal, model = looked[-1][:5]
+    lo, hi = window.run(first)
+    w = window.part(lo, hi)
+    case = Case(w, first - lo, joint, signal, model, Readings.of(w), lambda: None)
+    pushes = Pushes.of(case)
+    assert pushes is not None
+    (found, law) = late_torque(case, pushes), pushes.law
+    assert found is not None and found.kind is Kind.LATE_TORQUE
+    assert late_torque(case, replace(pushes, law=replace(law, left=0.0))) is None
+    assert late_torque(case, replace(pushes, law=replace(law, left=CREDIBLE))) == found, "a poor law is none"
 
 
 @pytest.mark.parametrize(
@@ -229,13 +262,17 @@ def record(folder: Path, model: Model, settings: Records, r: Any, words: tuple[b
     return recorder
 
 
-def topics(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """Messages by topic, each held against the schema that stands beside it."""
-    out: dict[str, list[dict[str, Any]]] = {}
+def topics(path: Path) -> dict[str, list[Any]]:
+    """Messages by topic, each held against the schema that stands beside it; ROS 2 ones decoded."""
+    out: dict[str, list[Any]] = {}
     held: dict[int, Any] = {}
     with path.open("rb") as f:
         for schema, channel, message in make_reader(f).iter_messages():
-            assert schema is not None and schema.encoding == "jsonschema" and channel.message_encoding == "json"
+            assert schema is not None
+            if schema.encoding == "ros2msg":
+                out.setdefault(channel.topic, []).append(decode(message.data))
+                continue
+            assert schema.encoding == "jsonschema" and channel.message_encoding == "json"
             content = json.loads(message.data)
             if schema.id not in held:
                 held[schema.id] = jsonschema.Draft202012Validator(json.loads(schema.data))
@@ -274,6 +311,25 @@ def test_a_violation_is_one_file_with_what_was_before_and_after(tmp_path: Path) 
     with path.open("rb") as f:
         (about,) = [m for m in make_reader(f).iter_metadata() if m.name == "stopset"]
     assert about.metadata["model_sha256"] == "ab" and about.metadata["config_sha256"] == "cd"
+
+
+def test_the_curves_stand_there_as_ros_messages_too(tmp_path: Path) -> None:
+    """Rerun leaves JSON as it is; these it draws. A row that lacks a number is left out."""
+    r = altered()
+    r = replace(r, tau=np.where(np.arange(500)[:, None] == 240, np.nan, r.tau))
+    seen = topics(Path(record(tmp_path / "record", known_model(), Records(before_s=0.5), r).answers[0].file))
+    states, tube = seen["stopset/joint_states"], seen["stopset/tube"]
+    for name, rows, columns in (
+        ("joint_states", states, ("position", "velocity", "effort")), ("tube_lo", tube, ("q_lo", "dq_lo")), ("tube_hi", tube, ("q_hi", "dq_hi")),
+    ):  # fmt: skip
+        drawn = seen[f"stopset/ros/{name}"]
+        assert len(drawn) == len(rows) > 100
+        for d, row in zip(drawn, rows, strict=True):
+            assert d.name == known_model().joints
+            assert d.stamp_ns == row["timestamp"]["sec"] * 10**9 + row["timestamp"]["nsec"]
+            for x, column in zip((d.position, d.velocity, d.effort), columns, strict=False):
+                assert list(x) == ([] if None in row[column] else row[column])
+    assert any(x is None for row in states for x in row["effort"])
 
 
 def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

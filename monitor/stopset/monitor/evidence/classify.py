@@ -30,7 +30,8 @@ LATEST = 12  # cycles that torque is tried late by
 TRIED = 12  # of the most promising ways of being late, held against the model
 SHARP = 0.03  # [s] in which most of a contact's push has come
 BACK = 10  # rows before the first contradiction in which its cause is looked for
-GOES_WITH = 0.7  # of what a steady or growing push leaves unexplained, a signal may leave at most
+GOES_WITH = 0.7  # of what a steady or growing push, or a delay, leaves unexplained, a signal may leave at most
+CREDIBLE = 0.5  # of all that is to be explained
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,8 @@ def classify(
             return found
     if hi - first < round(AFTER / model.dt):
         return _untold(case, case.at, "to tell delays and pushes apart")
-    return late_torque(case) or pushed(case)
+    pushes = Pushes.of(case)
+    return late_torque(case, pushes) or pushed(case, pushes)
 
 
 def _untold(c: Case, row: int, what: str) -> Cause:
@@ -233,8 +235,11 @@ def _step(c: Case, k: int, column: int) -> float | None:
     return 0.5 * float(least + most) if least <= most else None
 
 
-def late_torque(c: Case) -> Cause | None:
-    """Torque that was told later than it acted: moved back in time it agrees."""
+def late_torque(c: Case, pushes: Pushes | None) -> Cause | None:
+    """Torque that was told later than it acted: moved back in time it agrees, and no law explains the ``pushes`` far better.
+
+    In wide sets a motion back and forth lets a little delay pass for a weak spring.
+    """
     tau, y = c.w.tau, c.model.pushes(c.readings)
     width, rows = c.model.U_hi - c.model.U_lo, np.arange(len(c.w))
     tried: list[tuple[float, int, int, int | None]] = []
@@ -247,7 +252,10 @@ def late_torque(c: Case) -> Cause | None:
             tried.append((float(over[c.joint] + np.delete(as_is, c.joint).sum()), late, since, c.joint))
         c.pause()
     for _, late, since, joint in sorted(tried, key=lambda x: (x[0], x[1]))[:TRIED]:
-        u = c.readings.u + _earlier(tau, late, np.flatnonzero(rows >= since), joint)
+        more = _earlier(tau, late, np.flatnonzero(rows >= since), joint)
+        if pushes is not None and pushes.lawful_beside(pushes.left_by(c, more)):
+            continue
+        u = c.readings.u + more
         if c.holds(Readings(c.readings.x[:-late], u[:-late], c.readings.good[:-late])):
             where = "of all joints" if joint is None else f"of {c.model.joints[joint]}"
             return c.cause(
@@ -272,71 +280,101 @@ def _earlier(tau: Array, late: int, rows: NDArray[np.int64], joint: int | None =
 
 
 def _columns(c: Case, j: int) -> Iterator[tuple[str, Array]]:
-    """Signals that a missing law of joint ``j`` may go with; the name is what is said."""
+    """Signals (N, m) that a missing law of joint ``j`` may go with; the name is what is said."""
     w = c.w
-    yield "tau", w.tau[:, j]
-    yield "dq", w.dq[:, j]
-    yield "direction of motion", np.tanh(w.dq[:, j] / 0.01)
-    yield "sin q", np.sin(w.q[:, j])
-    yield "cos q", np.cos(w.q[:, j])
+    one = np.ones(len(w))
+    yield "tau", w.tau[:, [j]]
+    yield "dq", w.dq[:, [j]]
+    yield "direction of motion", np.tanh(w.dq[:, [j]] / 0.01)
+    yield "q", np.column_stack([w.q[:, j], one])  # a spring rests anywhere
+    yield "sin q", np.sin(w.q[:, [j]])
+    yield "cos q", np.cos(w.q[:, [j]])
     if np.isfinite(w.temp[:, j]).all():
-        yield "temp * dq", w.temp[:, j] * w.dq[:, j]
+        yield "temp * dq", w.temp[:, [j]] * w.dq[:, [j]]
 
 
 @dataclass(frozen=True, slots=True)
 class PushFit:
-    """A push ``size * course`` from row ``onset`` on; ``left``: the part of the pushes' squares that it does not explain."""
+    """A push from row ``onset`` on, ``size`` times a signal (the first of several); ``left``: the part of the pushes' squares that it
+    does not explain."""
 
     size: float
     onset: int
     left: float
-    course: Array
 
 
-def _fit(c: Case, y: Array, shape: Callable[[int], Array], onsets: list[int]) -> PushFit:
-    """The best onset and size of a push whose course (N,) is ``shape(onset)``, for one joint's pushes ``y``."""
-    best, total = PushFit(0.0, onsets[0], 1.0, np.zeros(len(c.w))), float(y @ y) or 1.0
+def _fit(c: Case, y: Array, course: Callable[[int], Array], onsets: list[int]) -> PushFit:
+    """The best onset and sizes of a push that is a sum of the columns (N, m) of ``course(onset)``, for one joint's pushes ``y``."""
+    best, total = PushFit(0.0, onsets[0], 1.0), float(y @ y) or 1.0
     for onset in onsets:
-        course = shape(onset)
-        x = c.model.averaged(course)
-        square = float(x @ x)
-        if square > 0.0:
-            size = float(x @ y) / square
-            left = 1.0 - size * float(x @ y) / total
-            if left < best.left:
-                best = PushFit(size, onset, left, course)
+        x = c.model.averaged(course(onset))
+        sizes = np.linalg.lstsq(x, y, rcond=None)[0]
+        left = 1.0 - float(y @ x @ sizes) / total
+        if left < best.left:
+            best = PushFit(float(sizes[0]), onset, left)
     c.pause()
     return best
 
 
-def pushed(c: Case) -> Cause:
+@dataclass(frozen=True, slots=True)
+class Pushes:
+    """What the model lacks of torque ``values`` (N, n) [N m], ``beyond`` what it may lack; in ``joint``, where that is most, the
+    steady, the growing and the lawful push that explain it best, the law by the signal ``goes_with``."""
+
+    values: Array
+    beyond: Array
+    joint: int
+    step: PushFit
+    ramp: PushFit
+    law: PushFit
+    goes_with: str
+
+    @classmethod
+    def of(cls, c: Case) -> Pushes | None:
+        """None where no push of its own is more than the model may lack."""
+        values = c.model.pushes(c.readings)
+        beyond = c.model.beyond(values)
+        felt = np.flatnonzero(beyond.max(axis=0) > 0.0)
+        if not len(felt):
+            return None
+        j = int(felt[np.argmax((beyond / (c.model.U_hi - c.model.U_lo)).max(axis=0)[felt])])
+        y = (values - c.model.middle)[:, j]
+        rows = np.arange(len(c.w))[:, None]
+        onsets = list(range(min(c.at + 1, len(rows) - c.model.steps - 4)))
+        onsets = onsets[:: max(1, len(onsets) // 80)]
+        step = _fit(c, y, lambda k: (rows >= k).astype(float), onsets)
+        ramp = _fit(c, y, lambda k: np.maximum(rows - k, 0).astype(float), onsets)
+        laws = {name: _fit(c, y, lambda k, x=x: np.where(rows >= k, x, 0.0), onsets) for name, x in _columns(c, j)}  # type: ignore[misc]
+        goes_with, law = min(laws.items(), key=lambda item: item[1].left)
+        return cls(values, beyond, j, step, ramp, law, goes_with)
+
+    def lawful_beside(self, left: float) -> bool:
+        """Whether the law explains far more than what leaves this part of the pushes' squares."""
+        return self.law.left < GOES_WITH * left and self.law.left < CREDIBLE
+
+    def left_by(self, c: Case, torque: Array) -> float:
+        """The part of the squares that another input, by ``torque`` (N, n), does not explain."""
+        y = (self.values - c.model.middle)[:, self.joint]
+        rest = y - c.model.averaged(torque)[:, self.joint]
+        return float(rest @ rest) / (float(y @ y) or 1.0)
+
+
+def pushed(c: Case, pushes: Pushes | None) -> Cause:
     """Contact, drift or missing effect: the push that the model lacks, by its course in time and what it goes with."""
-    pushes = c.model.pushes(c.readings)
-    beyond = c.model.beyond(pushes)
-    felt = np.flatnonzero(beyond.max(axis=0) > 0.0)
-    if not len(felt):
+    if pushes is None:
         return _crept(c)
-    j = int(felt[np.argmax((beyond / (c.model.U_hi - c.model.U_lo)).max(axis=0)[felt])])
-    y = (pushes - c.model.middle)[:, j]
-    N, rows = len(c.w), np.arange(len(c.w))
-    onsets = list(range(min(c.at + 1, N - c.model.steps - 4)))
-    onsets = onsets[:: max(1, len(onsets) // 80)]
-    step = _fit(c, y, lambda k: (rows >= k).astype(float), onsets)
-    ramp = _fit(c, y, lambda k: np.maximum(rows - k, 0).astype(float), onsets)
-    lawful = {name: _fit(c, y, lambda k, x=x: np.where(rows >= k, x, 0.0), onsets) for name, x in _columns(c, j)}  # type: ignore[misc]
-    name, law = min(lawful.items(), key=lambda item: item[1].left)
-    steady = min(step, ramp, key=lambda f: f.left)
-    if law.left < GOES_WITH * steady.left and law.left < 0.5:
-        what = c.model.joints[j]
+    j, law, ramp = pushes.joint, pushes.law, pushes.ramp
+    if pushes.lawful_beside(min(pushes.step.left, ramp.left)):
+        what, name = c.model.joints[j], pushes.goes_with
         return c.cause(
             Kind.MISSING_EFFECT, f"{what} needs a torque that goes with its {name}: an effect that the model lacks, or that has changed",
             j, law.onset, signal="tau", size=law.size, unit="", depends_on=name,
         )  # fmt: skip
-    if min(c.at, int(np.argmax(beyond[:, j] > 0.0))) < round(AHEAD / c.model.dt):
+    if min(c.at, int(np.argmax(pushes.beyond[:, j] > 0.0))) < round(AHEAD / c.model.dt):
         return _untold(c, 0, f"to tell how the push on {c.model.joints[j]} began")
-    if _sharp(c, pushes[:, j]) or step.left <= ramp.left:
-        return _contact(c, pushes, beyond, j)
-    size = float(ramp.size * (N - 1 - ramp.onset))
+    if _sharp(c, pushes.values[:, j]) or pushes.step.left <= ramp.left:
+        return _contact(c, pushes.values, pushes.beyond, j)
+    size = float(ramp.size * (len(c.w) - 1 - ramp.onset))
     return c.cause(
         Kind.DRIFT, f"{c.model.joints[j]} needs a torque that has grown slowly to {size:.3g} N m", j, ramp.onset,
         signal="tau", size=size, unit="N m",

@@ -1,4 +1,5 @@
-"""The one file format of what was seen: MCAP with JSON messages and a JSON schema per topic, as Foxglove and PlotJuggler show it.
+"""The one file format of what was seen: MCAP with JSON messages and a JSON schema per topic, as Foxglove and PlotJuggler show it,
+and the curves once more as ROS 2 messages, as Rerun does.
 
 The topics are a table; units stand in the schemas.
 """
@@ -11,6 +12,8 @@ from typing import Any, BinaryIO
 
 import msgspec
 from mcap.writer import CompressionType, Writer
+
+from stopset.monitor.evidence.curves import NAME, SCHEMA, Curves
 
 CHUNK = 65536  # bytes that a loss of power can cost
 _STAMP = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -77,20 +80,28 @@ class McapFile:
         self._writer.start(profile="", library="stopset")
         self._writer.add_metadata("stopset", {k: str(v) for k, v in about.items()})
         self._prefix, self._channels = prefix, dict[str, int]()
+        self._curves = Curves(tuple(about["joints"].split(","))) if about.get("joints") else None
         self._sequence = 0
 
     def add(self, topic: str, t_ns: int, message: Mapping[str, Any] | bytes, prefix: str = "") -> None:
         """One message at ``t_ns`` since the epoch; bytes are JSON already. ``prefix``: of another than the file's own."""
-        name = f"{prefix or self._prefix}/{topic}"
-        channel = self._channels.get(name)
-        if channel is None:
+        name, t_ns = f"{prefix or self._prefix}/{topic}", max(0, t_ns)
+        if name not in self._channels:
             schema = TOPICS[topic]
-            text = json.dumps(schema).encode()
-            number = self._writer.register_schema(schema["title"], "jsonschema", text)
-            channel = self._channels[name] = self._writer.register_channel(name, "json", number)
-        data = message if isinstance(message, bytes) else _encode(message)
-        t_ns = max(0, t_ns)
-        self._sequence += 1
+            number = self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
+            self._channels[name] = self._writer.register_channel(name, "json", number)
+        self._put(name, t_ns, message if isinstance(message, bytes) else _encode(message))
+        if self._curves is None or isinstance(message, bytes):
+            return
+        for curve, data in self._curves.of(topic, t_ns, message):
+            name = f"{prefix or self._prefix}/{curve}"
+            if name not in self._channels:
+                number = self._writer.register_schema(NAME, "ros2msg", SCHEMA.encode())
+                self._channels[name] = self._writer.register_channel(name, "cdr", number)
+            self._put(name, t_ns, data)
+
+    def _put(self, name: str, t_ns: int, data: bytes) -> None:
+        channel, self._sequence = self._channels[name], self._sequence + 1
         self._writer.add_message(channel, log_time=t_ns, publish_time=t_ns, data=data, sequence=self._sequence & 0xFFFFFFFF)
 
     def finish(self) -> None:

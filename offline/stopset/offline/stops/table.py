@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -163,6 +165,27 @@ def _tip(model: Model, q: Array, tip: Array) -> Array:
     return out
 
 
+class StopCase(NamedTuple):
+    """A payload [% and kg], an extension [%] and the axes that move: rows of every speed and category."""
+
+    percent: float
+    kg: float
+    extension: int
+    group: tuple[int, ...]
+
+
+Worst = tuple[Array, list[list[tuple[StopBound, Array]]]]  # a pose, and for each share of the speed what `_worst_direction` says
+
+
+def _each(cases: Sequence[StopCase], answer: Callable[[StopCase], Worst]) -> Iterator[tuple[StopCase, Worst]]:
+    """Every case with its answer, in order, as many at once as there are processors: the core releases the interpreter."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        try:
+            yield from zip(cases, pool.map(answer, cases), strict=True)
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)  # who stops does not wait for the rest
+
+
 def stop_table(model: Model, question: Question, progress: Progress = silent) -> Table:
     """The whole table; ``progress`` is given how far it is."""
     tip = model.robot.tip if question.payload_com is None else question.payload_com
@@ -172,24 +195,27 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
     rows: list[StopRow] = []
     assumptions: tuple[str, ...] = ()
     cases = [
-        (percent, kg, extension, group)
+        StopCase(percent, kg, extension, tuple(group))
         for percent, kg in loads(model, question)
         for extension in SHARES
         for group in [*([j] for j in axes), axes]
         if len(group) == 1 or extension == 100
     ]
-    ready: dict[float, StopBounds] = {}
+    ready = {kg: replace(prepared(model, kg, question), tubes=TABLE_TUBES) for _, kg in loads(model, question)}
     outside: set[str] = set()
-    for percent, kg, extension, group in counted(cases, len(cases), "stop bounds", progress):
-        bounds = ready.get(kg) or replace(prepared(model, kg, question), tubes=TABLE_TUBES)
-        ready[kg] = bounds
+
+    def worst(case: StopCase) -> Worst:
+        """The pose, and for each share of the speed what `_worst_direction` says."""
+        bounds, group = ready[case.kg], case.group
         pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
-        q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], extension / 100.0, pi)
+        q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], case.extension / 100.0, pi)
+        return q, [_worst_direction(bounds, q, group, speed * share / 100.0, question.categories) for share in SHARES]
+
+    for case, (q, found) in counted(_each(cases, worst), len(cases), "stop bounds", progress):
         outside |= {model.joints[j] for j in np.flatnonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))}
-        for share in SHARES:
-            of = Shares(share, percent, kg, extension)
-            for bound, dq in _worst_direction(bounds, q, group, speed * share / 100.0, question.categories):
-                rows.append(_row(model, bound, group, q, dq, of))
+        for share, bounds in zip(SHARES, found, strict=True):
+            for bound, dq in bounds:
+                rows.append(_row(model, bound, case.group, q, dq, Shares(share, case.percent, case.kg, case.extension)))
                 stated = tuple(a for a in bound.assumptions if a not in bound.here)
                 assumptions += tuple(a for a in stated if a not in assumptions)
     order = {c: i for i, c in enumerate(CATEGORIES)}

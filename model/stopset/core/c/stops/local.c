@@ -89,23 +89,38 @@ static void inertia(const Expansion *E, const StopsetCurvature *K, const double 
     }
 }
 
-/* Coriolis torque and the momentum's rate: c, e +- cr, er of joint i. */
-static void velocity_terms(const Expansion *E, const double *turn, int i, const double *vc, const double *vr, const double *va, double *out) {
-    const int n = E->n;
-    double c = 0.0, cr = 0.0, e = 0.0, er = 0.0;
+/* Products v_k v_o of two speeds, k <= o and both orders together, row after row: their middle, half their range, the largest size. */
+typedef struct {
+    double middle[PAIRS], spread[PAIRS], largest[PAIRS];
+} Products;
+
+static void products(int n, const double *vc, const double *vr, const double *va, Products *out) {
+    int m = 0;
     for (int k = 0; k < n; k++)
-        for (int o = k; o < n; o++) {
-            const double twice = k == o ? 1.0 : 2.0, prod = twice * vc[k] * vc[o];
-            const double spread = twice * (size_of(vc[k]) * vr[o] + vr[k] * size_of(vc[o]) + vr[k] * vr[o]), largest = twice * va[k] * va[o];
-            const double G = E->Gamma[(i * n + k) * n + o];
-            const double beyond =
-                size_of(E->Gammap[(i * n + k) * n + o]) + 0.5 * (turn[(i * n + k) * n + o] + turn[(i * n + o) * n + k] + turn[(k * n + o) * n + i]);
-            c += G * prod;
-            cr += size_of(G) * spread + beyond * largest;
+        for (int o = k; o < n; o++, m++) {
+            const double twice = k == o ? 1.0 : 2.0;
+            out->middle[m] = twice * vc[k] * vc[o];
+            out->spread[m] = twice * (size_of(vc[k]) * vr[o] + vr[k] * size_of(vc[o]) + vr[k] * vr[o]);
+            out->largest[m] = twice * va[k] * va[o];
+        }
+}
+
+/* Coriolis torque and the momentum's rate: c, e +- cr, er of joint i. */
+static void velocity_terms(const Expansion *E, const double *turn, int i, const Products *v, double *out) {
+    const int n = E->n;
+    const double *G = E->Gamma + i * n * n, *Gp = E->Gammap + i * n * n, *own = turn + i * n * n;
+    double c = 0.0, cr = 0.0, e = 0.0, er = 0.0;
+    int m = 0;
+    for (int k = 0; k < n; k++)
+        for (int o = k; o < n; o++, m++) {
+            const double of_pair = turn[(k * n + o) * n + i];
+            const double beyond = size_of(Gp[k * n + o]) + 0.5 * (own[k * n + o] + own[o * n + k] + of_pair);
+            c += G[k * n + o] * v->middle[m];
+            cr += size_of(G[k * n + o]) * v->spread[m] + beyond * v->largest[m];
             if (k >= i) continue;
             const double d = 0.5 * E->dM[(k * n + o) * n + i];
-            e += d * prod;
-            er += size_of(d) * spread + 0.5 * (size_of(E->dMp[(k * n + o) * n + i]) + turn[(k * n + o) * n + i]) * largest;
+            e += d * v->middle[m];
+            er += size_of(d) * v->spread[m] + 0.5 * (size_of(E->dMp[(k * n + o) * n + i]) + of_pair) * v->largest[m];
         }
     out[0] = c;
     out[1] = cr;
@@ -118,6 +133,7 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
                      const double *w_hi, const StopsetParts *parts, Local *out) {
     const int n = E->n;
     double mid[SN], rad[SN], far[SN], vc[SN], vr[SN], va[SN], v[4];
+    Products speeds;
     out->n = n;
     for (int k = 0; k < n; k++) {
         mid[k] = 0.5 * (x_lo[k] + x_hi[k]);
@@ -132,6 +148,7 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         out->v_rad[k] = vr[k];
     }
     inertia(E, K, mid, rad, far, parts, out);
+    products(n, vc, vr, va, &speeds);
     for (int i = 0; i < n; i++) {
         double g = E->g[i], r = size_of(E->gp[i]);
         for (int k = 0; k < n; k++) {
@@ -140,7 +157,7 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
             for (int o = 0; o < n; o++) second += K->g[(i * n + k) * n + o] * far[o];
             r += parts->gravity_slope * (size_of(E->dg[i * n + k]) * rad[k] + (size_of(E->dgp[i * n + k]) + 0.5 * second) * far[k]);
         }
-        velocity_terms(E, out->turn, i, vc, vr, va, v);
+        velocity_terms(E, out->turn, i, &speeds, v);
         const double share = parts->christoffel;
         out->g_lo[i] = g - r;
         out->g_hi[i] = g + r;

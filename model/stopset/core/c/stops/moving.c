@@ -15,24 +15,27 @@ const double stopset_rate_rounding = 1e-9; /* relative outward widening */
 /* Joint k into (or out of) the moving set: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement. */
 void stops_pivot(int n, double *A, int k, int into) {
     const double d = 1.0 / A[k * n + k], s = into ? d : -d;
+    double row[SN], column[SN];
     for (int i = 0; i < n; i++) {
-        if (i == k) continue;
-        const double c = A[i * n + k] * d;
-        for (int j = 0; j < n; j++)
-            if (j != k) A[i * n + j] -= c * A[k * n + j];
+        row[i] = A[k * n + i];
+        column[i] = A[i * n + k];
     }
-    for (int i = 0; i < n; i++)
-        if (i != k) {
-            A[i * n + k] *= s;
-            A[k * n + i] *= s;
-        }
+    for (int i = 0; i < n; i++) { /* row and column k too, which come anew below: no branch in the loops */
+        const double c = column[i] * d;
+        for (int j = 0; j < n; j++) A[i * n + j] -= c * row[j];
+    }
+    for (int i = 0; i < n; i++) {
+        A[i * n + k] = column[i] * s;
+        A[k * n + i] = row[i] * s;
+    }
     A[k * n + k] = -d;
 }
 
 /* Least of x / (1 + e) over |e| <= d. */
 static double least_over(double x, double d) {
-    if (x >= 0.0) return x / (1.0 + d);
-    return d < 1.0 ? x / (1.0 - d) : -STOPS_INF;
+    const int up = x >= 0.0;
+    if (!up && !(d < 1.0)) return -STOPS_INF;
+    return x / (up ? 1.0 + d : 1.0 - d);
 }
 
 /* Torque of each joint: any sign that is possible (r), forward (f), backward (b); `later`: dry friction beyond the least. */
@@ -65,9 +68,9 @@ static void visit(const Local *at, const Step *s, const Torque *t, const double 
         if (!inside[i] && (s->plus[i] || s->minus[i])) continue; /* visited with i moving instead: the same equation */
         for (int j = 0; j < n; j++) {
             if (j == i || !inside[j]) continue;
-            const double w = -A[i * n + j];
-            lo += w > 0.0 ? w * t->r_lo[j] : w * t->r_hi[j];
-            hi += w > 0.0 ? w * t->r_hi[j] : w * t->r_lo[j];
+            const double w = -A[i * n + j], least_of = w * t->r_lo[j], most_of = w * t->r_hi[j];
+            lo += w > 0.0 ? least_of : most_of;
+            hi += w > 0.0 ? most_of : least_of;
         }
         /* a resting joint would start with this acceleration, were it to start */
         const double w = inside[i] ? -A[i * n + i] : 1.0 / A[i * n + i];

@@ -1,6 +1,8 @@
 /* Inside the stop proofs: what one file gives the next. Matrices are dense, with the arm's n as their stride. */
 #ifndef STOPSET_STOPS_H
 #define STOPSET_STOPS_H
+#include <math.h>
+
 #include "../stopset.h"
 
 enum { SN = STOPSET_STOP_JOINTS, PAIRS = SN * (SN + 1) / 2 };
@@ -8,7 +10,7 @@ enum { SN = STOPSET_STOP_JOINTS, PAIRS = SN * (SN + 1) / 2 };
 /* As Python's: the second wins only where it is really smaller (larger). */
 static inline double least(double a, double b) { return b < a ? b : a; }
 static inline double most(double a, double b) { return b > a ? b : a; }
-static inline double size_of(double x) { return x < 0.0 ? -x : x; }
+static inline double size_of(double x) { return fabs(x); } /* an instruction, where a comparison is a branch that goes either way */
 /* Place of two joints, a <= b, among all pairs. */
 static inline int pair(int a, int b) { return b * (b + 1) / 2 + a; }
 #define STOPS_INF (1.0 / 0.0)

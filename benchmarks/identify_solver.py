@@ -1,0 +1,80 @@
+"""What the solver of the possible bodies decides of U, beside what another day's recordings do: ``python benchmarks/identify_solver.py``.
+
+Link parameters that no body has are moved to the nearest possible ones by a conic program (`stopset.offline.nominal.physical`).  How far it
+is solved, and how the links are scaled in it, changes numbers that the recordings leave open, and with them U in its later digits.  The same
+recordings are identified as shipped, with the solver's tolerances a thousand times smaller, and with the scaling of before version 0.9; then
+recordings of the same simulated arm from another seed.  Prints the largest relative difference of U's widths to those as shipped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import clarabel
+import numpy as np
+
+from stopset.offline.description import load_robot
+from stopset.offline.identify.pipeline import Settings, identify
+from stopset.offline.nominal import physical
+from stopset.types import Array
+
+TIGHTER = 1e-3  # times the solver's tolerances
+FORMER_SMALL = 1e-9**0.5  # [m] `physical.SMALL`, as it was
+
+
+def widths(folder: Path) -> Array:
+    """(n,) [N m] of U from the recordings in ``folder``."""
+    found = identify(load_robot(str(folder / "robot.urdf")), [folder / "recording.parquet"], Settings())
+    return found.model.powered.U.width
+
+
+@contextlib.contextmanager
+def tighter() -> Iterator[None]:
+    """The solver goes on until it is nearer."""
+    usual = clarabel.DefaultSettings
+
+    def settings() -> clarabel.DefaultSettings:
+        s = usual()
+        for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
+            setattr(s, name, TIGHTER * getattr(s, name))
+        return s
+
+    clarabel.DefaultSettings = settings
+    try:
+        yield
+    finally:
+        clarabel.DefaultSettings = usual
+
+
+@contextlib.contextmanager
+def scaled_as_before() -> Iterator[None]:
+    """Links described as points count as points."""
+    usual = physical.SMALL
+    physical.SMALL = FORMER_SMALL
+    try:
+        yield
+    finally:
+        physical.SMALL = usual
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        days = [Path(name) / f"seed-{seed}" for seed in (1, 2)]
+        for seed, day in enumerate(days, 1):
+            words = ("simulate", "--plan", "short", "--seed", str(seed), "--out", str(day))
+            subprocess.run([sys.executable, "-m", "stopset.cli.main", *words], check=True, capture_output=True)
+        shipped = widths(days[0])
+        print(f"U as shipped [N m]: {np.array2string(shipped, precision=4)}", flush=True)
+        for what, changed in (("solved a thousand times nearer", tighter), ("scaled as before", scaled_as_before)):
+            with changed():
+                print(f"{what}: {np.abs(widths(days[0]) / shipped - 1.0).max():.1e} of it", flush=True)
+        print(f"recordings of another seed: {np.abs(widths(days[1]) / shipped - 1.0).max():.1e} of it")
+
+
+if __name__ == "__main__":
+    main()
