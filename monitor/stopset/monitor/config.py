@@ -14,7 +14,9 @@ from typing import Any, get_args, get_origin
 
 from stopset.errors import StopsetError
 
-Masses = tuple[float, float]  # [kg] least and most; in the file a number alone stands for both
+Masses = tuple[
+    float, float
+]  # [kg] least and most; in the file a number alone stands for both, but 0 for nothing declared, as ever
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}  # what is bounded for a category that is asked for
 
 
@@ -178,7 +180,7 @@ class Config:
 
     ``data_id``: this arm's, told to its consumers; ``keys``: key file of the authentication code, "" = no code; ``journal``:
     where a violation is remembered, "" = beside the configuration, or in systemd's state directory. ``payload_kg``: surely on the
-    flange, beyond the model's own; 0 = surely nothing, None = not declared.
+    flange, beyond the model's own; (0, 0) = surely nothing, None = not declared.
     """
 
     model: str
@@ -231,6 +233,8 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         return kind(**{k: _build(hints[k], v, f"{where}.{k}".lstrip(".")) for k, v in x.items()})  # type: ignore[operator]
     if origin is tuple:
         if kind == Masses:
+            if x == 0 and not isinstance(x, bool):
+                return None  # cells have said so who meant that they do not know
             x = [x, x] if isinstance(x, int | float) else x
             if not (isinstance(x, list) and len(x) == 2):
                 raise ConfigError(f"{where} is {x!r}; expected a number, or a list [least, most]")

@@ -1,7 +1,7 @@
 """What the configuration says the flange carries: a mass, a range of masses, or nothing at all.
 
-Not declared and surely empty are two things: who says nothing gets bounds over every payload the model knows, who says 0 gets the
-bare flange's, many times tighter on a light arm.
+Not declared and surely empty are two things: who says nothing, or 0, gets bounds over every payload the model knows, who says [0, 0] gets
+the bare flange's, many times tighter on a light arm.
 """
 
 from __future__ import annotations
