@@ -11,7 +11,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.split import FIELDS, REWARD, TRIALS, certify, harm_of
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, Tube
-from stopset.reach.stops.tubes import march_box
+from stopset.reach.stops.tubes import Knots, march_box
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import shipped
@@ -35,7 +35,7 @@ class Counted:
         return float(harm_of(plant, self.start.q, LASTS).max())
 
     def __call__(self, plant: Plant, /, *, energetic: bool) -> Tube:
-        tube = march_box(self.setting, plant, self.start, energetic=energetic, knots=20)
+        tube = march_box(self.setting, plant, self.start, energetic=energetic, knots=Knots(20, 1))
         if energetic:
             self.energetic += 1
             return tube
