@@ -3,7 +3,6 @@ the published tables of other arms."""
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stopset.offline.stops.table import Question, stop_table
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.sets import Box
 
@@ -86,26 +84,3 @@ def test_a_published_fixed_time_ramp_is_reproduced() -> None:
         for share, degrees in ((0.33, 8.94), (0.66, 17.86), (1.0, 26.00)):
             angle = np.rad2deg(bounds.bound(np.zeros(6), share * np.pi * np.eye(6)[0], "1").forward[0])
             assert angle == pytest.approx(degrees, rel=0.03)
-
-
-def test_a_table_is_the_same_however_many_processors_make_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    tables = []
-    for processors in (1, 4):
-        monkeypatch.setattr(os, "cpu_count", lambda count=processors: count)
-        tables.append(stop_table(prbt_like((0.0, 0.25)), Question(categories=("0",), payload=0.1)))
-    one, four = tables
-    assert len(one.rows) > 9 and one.rows == four.rows and one.assumptions == four.assumptions
-    assert all(np.array_equal(a.swept, b.swept) for a, b in zip(one.rows, four.rows, strict=True))
-
-
-def test_an_error_in_a_table_ends_it_without_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def refuse(*_: object) -> None:
-        asked.append(1)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("stopset.offline.stops.table._worst_direction", refuse)
-    with pytest.raises(KeyboardInterrupt):
-        stop_table(prbt_like((0.0, 3.0)), Question(categories=("0",)))
-    assert len(asked) < 30

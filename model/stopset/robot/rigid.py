@@ -12,7 +12,6 @@ Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 5 and 6; Liu & 
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -22,7 +21,7 @@ from stopset.core.library import check, ffi, given, lib, view
 from stopset.types import Array
 
 _ARM = ffi.typeof("StopsetArm *")
-_recent: deque[tuple[Any, ...]] = deque(maxlen=4)
+_recent: list[tuple[tuple[Any, ...], ...]] = [()]  # the last four in one tuple: threads ask while others add
 _copied: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
 
 
@@ -37,7 +36,7 @@ class Chain(NamedTuple):
 
 def arm_struct(chain: Chain, pi: Array | None) -> Any:
     """The C struct of an arm; what it points at lives as long as it does."""
-    for its_chain, its_pi, struct, _ in _recent:  # most calls are about the arm of the call before
+    for its_chain, its_pi, struct, _ in _recent[0]:  # most calls are about the arm of the call before
         if its_chain is chain and its_pi is pi:
             return struct
     n = len(chain.p)
@@ -50,7 +49,7 @@ def arm_struct(chain: Chain, pi: Array | None) -> Any:
     views = [view(x) for x in held]
     arm = ffi.new(_ARM, (n, *views))
     if all(x is y for x, y in zip(parts, held, strict=True)):  # a copy would not see what is written into the original
-        _recent.appendleft((chain, pi, arm, views))
+        _recent[0] = ((chain, pi, arm, views), *_recent[0][:3])
     else:
         _copied[arm] = views
     return arm

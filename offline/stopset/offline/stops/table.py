@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -177,15 +175,6 @@ class StopCase(NamedTuple):
 Worst = tuple[Array, list[list[tuple[StopBound, Array]]]]  # a pose, and for each share of the speed what `_worst_direction` says
 
 
-def _each(cases: Sequence[StopCase], answer: Callable[[StopCase], Worst]) -> Iterator[tuple[StopCase, Worst]]:
-    """Every case with its answer, in order, as many at once as there are processors: the core releases the interpreter."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        try:
-            yield from zip(cases, pool.map(answer, cases), strict=True)
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)  # who stops does not wait for the rest
-
-
 def stop_table(model: Model, question: Question, progress: Progress = silent) -> Table:
     """The whole table; ``progress`` is given how far it is."""
     tip = model.robot.tip if question.payload_com is None else question.payload_com
@@ -211,7 +200,8 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
         q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], case.extension / 100.0, pi)
         return q, [_worst_direction(bounds, q, group, speed * share / 100.0, question.categories) for share in SHARES]
 
-    for case, (q, found) in counted(_each(cases, worst), len(cases), "stop bounds", progress):
+    for case in counted(cases, len(cases), "stop bounds", progress):
+        q, found = worst(case)
         outside |= {model.joints[j] for j in np.flatnonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))}
         for share, bounds in zip(SHARES, found, strict=True):
             for bound, dq in bounds:
