@@ -8,12 +8,18 @@ import re
 import shutil
 import stat
 import subprocess
+import sys
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from monitor_arm import known_model, meta, motion, with_torque_scaled
+from monitor_process import environment
+from stopset.artifact import save_model
+from stopset.recording import write_recordings
 
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
 UNITS = ("stopset.service", "stopset-expiry.service")
@@ -163,3 +169,23 @@ def test_an_upgrade_that_is_not_healthy_goes_back(tmp_path: Path) -> None:
     assert sh(DEPLOY / "checks/upgrade.sh", good, **words).returncode == 0 and link.resolve() == good
     for wrong in (good, tmp_path / "nowhere"):
         assert sh(DEPLOY / "checks/upgrade.sh", wrong, **words).returncode == 2 and link.resolve() == good
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("torque", [1.0, 1.5])
+def test_the_smoke_check_passes_a_sound_cell_and_no_other(tmp_path: Path, torque: float) -> None:
+    """The shipped script: a real daemon, a bus on loopback, the daemon stopped for a while; an arm that left its model fails it."""
+    save_model(known_model(), tmp_path / "arm.model.json")
+    write_recordings(tmp_path / "rec.parquet", meta(), [with_torque_scaled(motion(s, 500, s), 2, torque) for s in range(2)])
+    program = tmp_path / "bin/stopset"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m stopset.cli.main "$@"\n')
+    program.chmod(0o755)
+    path = f"{program.parent}{os.pathsep}{os.environ['PATH']}"
+    done = sh(
+        DEPLOY / "checks/smoke.sh", tmp_path / "arm.model.json", tmp_path / "rec.parquet", **{**environment(), "PATH": path}
+    )
+    if torque == 1.0:
+        assert done.returncode == 0 and done.stdout.endswith("passed\n"), done.stdout + done.stderr
+    else:
+        assert done.returncode == 1 and "FAILED: " in done.stdout, done.stdout + done.stderr

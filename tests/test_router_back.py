@@ -22,6 +22,7 @@ from monitor_process import (
 )
 from patience import wait
 from stopset.artifact import save_model
+from stopset.cli.main import main
 from stopset.monitor.consumer import Fault
 from stopset.monitor.fleet import Fleet
 from stopset.monitor.layout import State
@@ -92,3 +93,16 @@ def test_a_router_that_is_killed_makes_everything_stale_and_comes_back(tmp_path:
         link.close()
         router.kill()
         router.wait()
+
+
+def test_a_monitor_that_finds_no_router_ends_with_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Systemd starts it again; and it does not claim to listen itself."""
+    save_model(known_model(), tmp_path / "arm.model.json")
+    config = tmp_path / "arm.toml"
+    to = f"tcp/127.0.0.1:{free_port()}"
+    config.write_text(
+        f'model = "arm.model.json"\ndata_id = 1\n[bus]\nlink = "hub:1"\n[zenoh]\nmode = "client"\nconnect = ["{to}"]\n'
+    )
+    assert main(["monitor", "--config", str(config)]) == 2
+    out, err = capsys.readouterr()
+    assert f"no zenoh session with {to} comes about" in err and f"/** on {to};" in out
