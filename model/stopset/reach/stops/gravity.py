@@ -8,7 +8,7 @@ The angles that axis i + 1 can have with gravity are those of axis i, a fixed an
 beside its axis is found from the tip to the base: the first moment behind joint k can be turned about axis k at will, so all that is
 asked of it is its support function over the angle to that axis, held at a grid and from above between.
 
-Source: Rockafellar (1970), Convex Analysis, ch. 13, for support functions.
+Source: none needed beyond convexity: a support function of a sum of directions is at most the sum of its values.
 """
 
 from __future__ import annotations
