@@ -19,7 +19,7 @@ from stopset.robot.rigid import Chain
 from stopset.types import Array
 
 GRID = 90  # intervals of the angle to an axis, 0 to pi, and half those of the angle around it: torques 0.1 % too large on seven joints
-ROUNDING = 1e-12  # of sines, of moments by what they are stretched out
+OUTWARD = 1e-12  # of sines, of moments by what they are stretched out
 
 
 def gravity_curvature(chain: Chain, pi: Array) -> tuple[Array, Array]:
@@ -45,7 +45,7 @@ def _slant(chain: Chain) -> Array:
             # the nearest to gravity that it can be, and to gravity's opposite
             lo, hi = max(lo - turn, turn - hi, 0.0), np.pi - max(np.pi - hi - turn, turn - np.pi + lo, 0.0)
         out[i] = 1.0 if lo <= 0.5 * np.pi <= hi else max(np.sin(lo), np.sin(hi))
-    return np.minimum(out + ROUNDING, 1.0)
+    return np.minimum(out + OUTWARD, 1.0)
 
 
 def _beside(chain: Chain, pi: Array) -> Array:
@@ -68,8 +68,8 @@ def _beside(chain: Chain, pi: Array) -> Array:
         value = towards @ moment
         if i + 1 < n:
             value += _between(behind, towards, chain.R[i + 1] @ chain.axis[i + 1])
-        behind = value.max(axis=1) + (2.0 * bulge + ROUNDING) * reach
-        out[i] = min(float(behind[GRID // 2]), (1.0 + ROUNDING) * stretched)
+        behind = value.max(axis=1) + (2.0 * bulge + OUTWARD) * reach
+        out[i] = min(float(behind[GRID // 2]), (1.0 + OUTWARD) * stretched)
     return out
 
 
