@@ -23,7 +23,7 @@ from stopset.monitor.config import Config
 from stopset.monitor.evidence.recorder import Filed, Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import MAX_JOINTS, Flag, State
-from stopset.monitor.message import CODES, Seen, StateMessage
+from stopset.monitor.message import CODES, Observed, StateMessage
 from stopset.monitor.notify import Notifier
 from stopset.monitor.operators import Moment, Operators
 from stopset.monitor.orders import Orders, Reset
@@ -213,9 +213,9 @@ class Daemon:
         return Turn(state, flags, why, numbers)
 
     def _send(self, turn: Turn) -> None:
-        seen = Seen(self.sample, self.verdict, self.latch, self.source.dropped + self.orders.dropped)
+        observed = Observed(self.sample, self.verdict, self.latch, self.source.dropped + self.orders.dropped)
         message, identity = self._message, self.publisher.identity
-        self.publisher.state(message.values(turn, seen, self.model.joints), message.block(turn.numbers, identity))
+        self.publisher.state(message.values(turn, observed, self.model.joints), message.block(turn.numbers, identity))
         self._notify.say("WATCHDOG=1")
 
     def _obey(self, now: float) -> None:

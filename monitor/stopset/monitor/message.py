@@ -24,7 +24,7 @@ CODES = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATIO
 
 
 @dataclass(slots=True)
-class Seen:
+class Observed:
     """What a message is about: the last ``sample`` and its ``verdict``, the ``latch``, and how many inputs were ``dropped``."""
 
     sample: Sample | None
@@ -48,9 +48,9 @@ class StateMessage:
             self._withdrawn = {c: Numbers.fallback(self.n, f.time_s, f.angle_rad, f.tcp_m) for c in numbers}
         return self._withdrawn
 
-    def values(self, turn: Turn, seen: Seen, joints: tuple[str, ...]) -> dict[str, Any]:
+    def values(self, turn: Turn, observed: Observed, joints: tuple[str, ...]) -> dict[str, Any]:
         """The fields that change with every message."""
-        s, v, latch = seen.sample, seen.verdict, seen.latch
+        s, v, latch = observed.sample, observed.verdict, observed.latch
         first = latch.first
         joint = first.first.joint if first else ""
         return {
@@ -60,7 +60,7 @@ class StateMessage:
             "first_joint": joints.index(joint) + 1 if joint in joints else 0,
             "room_min": v.room.min() if v and v.room is not None else -np.inf,
             "holding_margin_min": min([x.margin for x in turn.numbers.values()], default=-np.inf),
-            "bad_nodes": s.bad_nodes if s else 0, "dropped": seen.dropped & U32,
+            "bad_nodes": s.bad_nodes if s else 0, "dropped": observed.dropped & U32,
         }  # fmt: skip
 
     def block(self, numbers: dict[str, Numbers], identity: Mapping[str, int]) -> dict[str, Any]:
