@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from monitor_arm import known_model, meta, motion, with_torque_scaled
+from monitor_arm import known_model, meta, motion
 from monitor_process import free_port
 from stopset.artifact import save_model
 from stopset.artifact.signature import new_key
@@ -61,8 +61,8 @@ def script(cell: Path, port: int, bus: int) -> str:
             # the page's own port is everybody's here
             f"sed -i 's/:7447/:{port}/' /etc/stopset/zenoh/*.json5\n",
             f"cat > /usr/bin/zenohd <<'END'\n{ZENOHD}END\nchmod 755 /usr/bin/zenohd\n",
-            "systemd-analyze verify --man=no --recursive-errors=no /etc/systemd/system/stopset*.service /etc/systemd/system/stopset*.timer 2> /tmp/verify || true\n"
-            "grep stopset /tmp/verify || echo 'units verified'\n",
+            "cd /etc/systemd/system\nsystemd-analyze verify --man=no --recursive-errors=no stopset*.service stopset*.timer 2> /tmp/verify || true\n",
+            f"grep stopset /tmp/verify || echo 'units verified'\ncd {ROOT}\n",
             start, "ls /etc/systemd/system/multi-user.target.wants /etc/systemd/system/timers.target.wants\n",
             START, "unit stopset-router.service\nsleep 3\nunit stopset.service\n",
             f"stopset replay recording.parquet --to hub:{bus} --wait 1 --loop > /tmp/replay.log 2>&1 &\nstarted=\"$started $!\"\n",
