@@ -32,12 +32,13 @@ systemctl() { for word; do shift; [ "$word" = --now ] || set -- "$@" "$word"; do
 """
 START = r"""
 started=""
+install -d -o stopset -m 700 /var/lib/stopset  # StateDirectory=
 unit() {
   setpriv --reuid=stopset --regid=stopset --clear-groups --no-new-privs --bounding-set=-all --inh-caps=-all \
-    env STATE_DIRECTORY=/var/lib/stopset $(sed -n 's/^ExecStart=//p' "/etc/systemd/system/$1") > "/tmp/$1.log" 2>&1 &
+    env STATE_DIRECTORY=/var/lib/stopset $(sed -n 's/^ExecStart=//p' "/etc/systemd/system/$1") > "/tmp/began-$1" 2>&1 &
   started="$started $!"
 }
-trap 'kill $started 2>/dev/null || true' EXIT
+trap 'kill $started 2>/dev/null || true; tail -n 5 /tmp/began-* >&2' EXIT
 """
 
 
@@ -65,7 +66,7 @@ def script(cell: Path, port: int, bus: int) -> str:
             f"grep stopset /tmp/verify || echo 'units verified'\ncd {ROOT}\n",
             start, "ls /etc/systemd/system/multi-user.target.wants /etc/systemd/system/timers.target.wants\n",
             START, "unit stopset-router.service\nsleep 3\nunit stopset.service\n",
-            f"stopset replay recording.parquet --to hub:{bus} --wait 1 --loop > /tmp/replay.log 2>&1 &\nstarted=\"$started $!\"\n",
+            f"stopset replay recording.parquet --to hub:{bus} --wait 1 --loop > /tmp/began-replay 2>&1 &\nstarted=\"$started $!\"\n",
             check.replace("--check", "--check --seconds 60"), "echo checked\n",
             f"setpriv --reuid=stopset --regid=stopset --clear-groups $({unit}) && echo 'no certificate ends'\n",
             # a version that gives no message, in the folder that the page names
