@@ -44,6 +44,7 @@ from stopset.offline.diagnose.search import refine, ripple, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
+    filters,
     fit,
     floor,
     friction,
@@ -87,7 +88,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
         "OVERLAP FEWEST NOISES ALIKE VARIES SEAM FEWEST_JOINTS SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION MOVING",
     ),
     ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
-    ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE SEAM RINGING"),
+    ("preprocessing", filters, "ORDER"),
+    ("preprocessing", preprocess, "IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE SEAM RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("recorded low-pass", low_pass, "QUIET CUTOFFS FINER KNOWN FILTER_LOWERS SECONDS PIECE TELLING_ROWS RELATIVE"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
