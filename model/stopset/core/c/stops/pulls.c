@@ -9,7 +9,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "../wide.h"
 #include "stops.h"
 
 enum { CLAIMS = STOPSET_PULL_CLAIMS };
@@ -43,52 +42,47 @@ typedef struct {
     double lo[SN], hi[SN], scale[SN], loose[SN], beyond[SN];
 } Rows;
 
-static inline double sum_of(const double *x) { return (x[0] + x[1]) + (x[2] + x[3]); }
-
 STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
     for (int i = 0; i < n; i += LANES) {
-        double lo[LANES] = {0}, hi[LANES] = {0}, scale[LANES] = {0}, loose[LANES] = {0}, beyond[LANES] = {0};
+        Four lo = {0}, hi = {0}, scale = {0}, loose = {0}, beyond = {0};
         for (int j = 0; j < n; j++) {
-            const double *w = A->value + j * SN + i, low = x->lo[j], high = x->hi[j];
-            for (int l = 0; l < LANES; l++) {
-                const double a = w[l] * low, b = w[l] * high, size = size_of(w[l]);
-                lo[l] += w[l] > 0.0 ? a : b;
-                hi[l] += w[l] > 0.0 ? b : a;
-                scale[l] += size * x->size[j];
-                loose[l] += size * x->loose[j];
-                beyond[l] += size * x->beyond[j];
-            }
+            const Four w = *(const Four *)(A->value + j * SN + i), a = w * x->lo[j], b = w * x->hi[j], size = SIZES_OF(w);
+            const Choice up = w > 0.0;
+            lo += CHOSEN(up, a, b);
+            hi += CHOSEN(up, b, a);
+            scale += size * x->size[j];
+            loose += size * x->loose[j];
+            beyond += size * x->beyond[j];
         }
-        memcpy(out->lo + i, lo, sizeof lo);
-        memcpy(out->hi + i, hi, sizeof hi);
-        memcpy(out->scale + i, scale, sizeof scale);
-        memcpy(out->loose + i, loose, sizeof loose);
-        memcpy(out->beyond + i, beyond, sizeof beyond);
+        *(Four *)(out->lo + i) = lo;
+        *(Four *)(out->hi + i) = hi;
+        *(Four *)(out->scale + i) = scale;
+        *(Four *)(out->loose + i) = loose;
+        *(Four *)(out->beyond + i) = beyond;
     }
 }
 
 /* By slopes: what one angle or the payload does to the middle of all of row i, and what is beyond; with either of two boxes of its own number. */
 STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
-    out[0] = out[1] = 0.0;
+    Four first = {0}, second = {0};
     for (int g = 0; g < groups_of(n); g++) {
-        const double(*slope)[LANES] = A->slope[g], *own = slope[pair(i, i)];
-        double turn[LANES] = {0}, spread[LANES] = {0}, first[LANES], second[LANES];
-        for (int j = 0; j < n; j++) {
-            if (j == i) continue;
-            const double *e = slope[j < i ? pair(j, i) : pair(i, j)], middle = x->mid[j], away = x->rad[j];
-            for (int l = 0; l < LANES; l++) {
-                turn[l] += e[l] * middle;
-                spread[l] += size_of(e[l]) * away;
-            }
+        const Four *slope = A->slope[g], own = slope[pair(i, i)], size = SIZES_OF(own);
+        Four turn = {0}, spread = {0};
+        for (int j = 0; j < i; j++) {
+            const Four e = slope[pair(j, i)];
+            turn += e * x->mid[j];
+            spread += SIZES_OF(e) * x->rad[j];
         }
-        for (int l = 0; l < LANES; l++) {
-            const double size = size_of(own[l]);
-            first[l] = size_of(turn[l] + own[l] * mid[0]) + (spread[l] + size * rad[0]);
-            second[l] = size_of(turn[l] + own[l] * mid[1]) + (spread[l] + size * rad[1]);
+        for (int j = i + 1; j < n; j++) {
+            const Four e = slope[pair(i, j)];
+            turn += e * x->mid[j];
+            spread += SIZES_OF(e) * x->rad[j];
         }
-        out[0] += sum_of(first);
-        out[1] += sum_of(second);
+        first += SIZES_OF(turn + own * mid[0]) + (spread + size * rad[0]);
+        second += SIZES_OF(turn + own * mid[1]) + (spread + size * rad[1]);
     }
+    out[0] = sum_of(first);
+    out[1] = sum_of(second);
 }
 
 /* How far a row is from that at the entries' middle. */
@@ -334,17 +328,17 @@ void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, 
     }
 }
 
-/* Speeds on a step of h seconds from angles in E->q + [q_lo, q_hi], speeds [v_lo, v_hi] and momenta p, no faster than `fastest`: claimed, and
- * claimed again while too small; in the end no more is claimed than `fastest`. */
+/* Speeds on a step of h seconds from angles in E->q + [q_lo, q_hi], speeds [v_lo, v_hi] and momenta p, no faster than `fastest`: claimed, first
+ * to go on as far as they did on the last step (grown), and claimed again while too small; in the end no more is claimed than `fastest`. */
 void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
-                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap) {
+                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *grown, Span *cap) {
     const int n = E->n;
     double x_lo[SN] = {0}, x_hi[SN] = {0};
     Span claim, any, on, step, raw, rest;
     for (int i = 0; i < n; i++) {
         const double room = 0.05 * (v_hi[i] - v_lo[i]) + 0.02;
-        claim.lo[i] = most(-fastest[i], v_lo[i] - room);
-        claim.hi[i] = least(fastest[i], v_hi[i] + room);
+        claim.lo[i] = most(-fastest[i], v_lo[i] - most(room, 1.1 * grown->lo[i]));
+        claim.hi[i] = least(fastest[i], v_hi[i] + most(room, 1.1 * grown->hi[i]));
     }
     for (int attempt = 0;; attempt++) { /* what is claimed last is enough */
         int enough = 1;
@@ -373,6 +367,8 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
     for (int i = 0; i < n; i++) {
         cap->lo[i] = most(claim.lo[i], raw.lo[i]);
         cap->hi[i] = least(claim.hi[i], raw.hi[i]);
+        grown->lo[i] = v_lo[i] - cap->lo[i];
+        grown->hi[i] = cap->hi[i] - v_hi[i];
     }
 }
 

@@ -12,10 +12,12 @@
 #include "stops.h"
 
 enum { OK, ENDLESS, UNBOUNDED };
-enum { PASSES = STOPSET_TUBE_PASSES };
+enum { PASSES = STOPSET_TUBE_PASSES, FEW_PASSES = 10 }; /* where there are caps to fall back on, what has not closed by then hardly ever does */
 const double stopset_tube_recentre = 0.01;
 const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0, .held = 1.0};
 
+enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy does not fall */
+static const double steepest = 0.8; /* growth of accelerations over that of claims, at most: beyond, they hardly close */
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
 typedef struct {
@@ -24,14 +26,14 @@ typedef struct {
     const StopsetTube *tube;
     int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
     double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
-    double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], retained[SN];
+    double claim[4][SN], last[4][SN], tried[4][SN], found[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], retained[SN];
     Step s;
     Expansion E;
     Local at, start;
     Bands b, end;
     Momentum momentum;
     Energy energy;
-    Span momenta, cap; /* of all joints at the knot; of speeds on the step */
+    Span momenta, cap, grown; /* of all joints at the knot; of speeds on the step; how much these grew on the last by momenta */
 } March;
 
 static double ramp(double t, double delay, double rise) {
@@ -76,25 +78,36 @@ static void claimed_speeds(March *m, const double *lo, const double *hi) {
     }
 }
 
+/* A claim that lies as far beyond `value` as both went on since the last pass, as if they went on so for ever: claims of joints that push each
+ * other close in few passes. Whatever is claimed is verified. */
+static double carried_on(double claim, double value, double last_claim, double last_value) {
+    const double slope = (value - last_value) / (claim - last_claim);
+    const double on = slope > 0.0 ? least(slope, steepest) : 0.0; /* nor of what is not a number */
+    return claim + (value - claim) / (1.0 - on);
+}
+
 /* Do the accelerations lie inside the claims? If not, the claims grow. A joint at rest on the whole step (neither sign
  * possible) only has to be kept from starting. */
-static int claims_hold(March *m) {
+static int claims_hold(March *m, int pass) {
     const Step *s = &m->s;
     int good = 1;
     for (int i = 0; i < m->n; i++)
         for (int row = 0; row < 4; row++) {
             const int used = row < 2 ? s->plus[i] || (row == 1 && s->zero[i]) : s->minus[i] || (row == 2 && s->zero[i]);
-            const double value = m->out[row][i];
+            const double value = m->out[row][i], claimed = m->claim[row][i], more = 0.05 * size_of(value) + 1e-3;
+            const double far = pass ? carried_on(claimed, value, m->tried[row][i], m->found[row][i]) : value;
             double *claim = &m->claim[row][i];
+            m->tried[row][i] = claimed;
+            m->found[row][i] = value;
             if (!used) continue;
             if (row == 0 || row == 2) {
                 if (value < *claim && !(row == 2 && !s->minus[i] && value >= 0.0)) {
                     good = 0;
-                    *claim = value - 0.05 * size_of(value) - 1e-3;
+                    *claim = far - more;
                 }
             } else if (value > *claim && !(row == 1 && !s->plus[i] && value <= 0.0)) {
                 good = 0;
-                *claim = value + 0.05 * size_of(value) + 1e-3;
+                *claim = far + more;
             }
         }
     return good;
@@ -195,7 +208,7 @@ static void torques(March *m, const double *lo, const double *hi) {
 static int verify(March *m, int64_t k) {
     const int n = m->n;
     const double *v_lo = m->tube->v_lo + k * n, *v_hi = m->tube->v_hi + k * n, *d_lo = m->tube->d_lo + k * n, *d_hi = m->tube->d_hi + k * n;
-    for (int attempt = 0; attempt < PASSES; attempt++) {
+    for (int attempt = 0; attempt < (m->energetic ? FEW_PASSES : PASSES); attempt++) {
         claimed_speeds(m, v_lo, v_hi);
         for (int i = 0; i < n; i++) {
             m->x_lo[i] = m->q_lo[i] + d_lo[i] + m->h * least(0.0, m->w_lo[i]) - m->E.q[i];
@@ -205,7 +218,7 @@ static int verify(March *m, int64_t k) {
         torques(m, v_lo, v_hi);
         stops_accelerations(&m->at, &m->s, m->out);
         if (m->related) stops_related(m->p, &m->E, &m->at, &m->s, m->parts, m->out);
-        if (claims_hold(m)) return 1;
+        if (claims_hold(m, attempt)) return 1;
     }
     return 0;
 }
@@ -313,7 +326,7 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->cap.hi[i] = m->energy.cap[i];
     }
     if (m->pulled)
-        stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->cap);
+        stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->grown, &m->cap);
     m->pulled = 0;
     for (int i = 0; i < n; i++) m->pulled |= m->cap.hi[i] - m->cap.lo[i] < worth * 2.0 * m->energy.cap[i];
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
@@ -440,7 +453,8 @@ static double step_from(double now, double closing, double engaged, double h, do
 static int march(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h, double brief,
                  int64_t steps, const StopsetParts *parts, int energetic, int related, const StopsetTube *tube, int64_t *made) {
     const int n = plant->arm.n;
-    double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0;
+    double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0, lowest = STOPS_INF;
+    int idle = 0;
     March m;
     memset(&m, 0, sizeof m);
     m.p = plant;
@@ -484,15 +498,32 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
         }
         if (!(widest < fastest)) return UNBOUNDED;
         if (now >= engaged && held(&m, k)) return OK; /* from now on nothing changes any more */
+        idle = now < engaged || m.energy.y < lowest ? 0 : idle + 1;
+        lowest = now < engaged ? STOPS_INF : least(lowest, m.energy.y);
+        if (idle > most_idle && energetic) return ENDLESS; /* brakes gain no more torque: what they do not slow now falls on */
     }
     *made = steps;
     return ENDLESS;
+}
+
+/* Share of the time from when the first brake may close until all have that rows for themselves must last for columns to be worth their cost: of
+ * tubes that these close, all but a few lasted that long. */
+static const double lasting = 0.75;
+
+/* Whether a tube that ended at time t lasted so. */
+static int lasted(const StopsetPlant *p, double t) {
+    double closing = STOPS_INF, engaged = -STOPS_INF;
+    for (int i = 0; i < p->arm.n; i++) {
+        closing = least(closing, p->delay_lo[i]);
+        engaged = most(engaged, p->delay_hi[i] + p->rise_hi[i]);
+    }
+    return t >= closing + lasting * (engaged - closing);
 }
 
 int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h,
                       double brief, int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
     if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
     const int end = march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, energetic, energetic, tube, made);
-    if (end == OK || energetic) return end;
+    if (end == OK || energetic || !lasted(plant, tube->t[*made])) return end;
     return march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, 0, 1, tube, made);
 }
