@@ -328,17 +328,17 @@ void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, 
     }
 }
 
-/* Speeds on a step of h seconds from angles in E->q + [q_lo, q_hi], speeds [v_lo, v_hi] and momenta p, no faster than `fastest`: claimed, first
- * to go on as far as they did on the last step (grown), and claimed again while too small; in the end no more is claimed than `fastest`. */
+/* Speeds on a step of h seconds from angles in E->q + [q_lo, q_hi], speeds [v_lo, v_hi] and momenta p, no faster than `fastest`: claimed, and
+ * claimed again while too small; in the end no more is claimed than `fastest`. */
 void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
-                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *grown, Span *cap) {
+                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap) {
     const int n = E->n;
     double x_lo[SN] = {0}, x_hi[SN] = {0};
     Span claim, any, on, step, raw, rest;
     for (int i = 0; i < n; i++) {
         const double room = 0.05 * (v_hi[i] - v_lo[i]) + 0.02;
-        claim.lo[i] = most(-fastest[i], v_lo[i] - most(room, 1.1 * grown->lo[i]));
-        claim.hi[i] = least(fastest[i], v_hi[i] + most(room, 1.1 * grown->hi[i]));
+        claim.lo[i] = most(-fastest[i], v_lo[i] - room);
+        claim.hi[i] = least(fastest[i], v_hi[i] + room);
     }
     for (int attempt = 0;; attempt++) { /* what is claimed last is enough */
         int enough = 1;
@@ -367,8 +367,6 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
     for (int i = 0; i < n; i++) {
         cap->lo[i] = most(claim.lo[i], raw.lo[i]);
         cap->hi[i] = least(claim.hi[i], raw.hi[i]);
-        grown->lo[i] = v_lo[i] - cap->lo[i];
-        grown->hi[i] = cap->hi[i] - v_hi[i];
     }
 }
 

@@ -109,7 +109,7 @@ void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
 void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p);
 void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
-                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *grown, Span *cap);
+                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap);
 void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, Span *step);
 double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local *at, const StopsetParts *parts, Span *p, Span *v);
 #endif

@@ -12,12 +12,11 @@
 #include "stops.h"
 
 enum { OK, ENDLESS, UNBOUNDED };
-enum { PASSES = STOPSET_TUBE_PASSES, FEW_PASSES = 10 }; /* where there are caps to fall back on, what has not closed by then hardly ever does */
+enum { PASSES = STOPSET_TUBE_PASSES, FEW_PASSES = 20 }; /* where there are caps to fall back on, what has not closed by then hardly ever does */
 const double stopset_tube_recentre = 0.01;
 const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0, .held = 1.0};
 
 enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy does not fall */
-static const double steepest = 0.8; /* growth of accelerations over that of claims, at most: beyond, they hardly close */
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
 typedef struct {
@@ -26,14 +25,14 @@ typedef struct {
     const StopsetTube *tube;
     int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
     double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
-    double claim[4][SN], last[4][SN], tried[4][SN], found[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], retained[SN];
+    double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], retained[SN];
     Step s;
     Expansion E;
     Local at, start;
     Bands b, end;
     Momentum momentum;
     Energy energy;
-    Span momenta, cap, grown; /* of all joints at the knot; of speeds on the step; how much these grew on the last by momenta */
+    Span momenta, cap; /* of all joints at the knot; of speeds on the step */
 } March;
 
 static double ramp(double t, double delay, double rise) {
@@ -78,36 +77,25 @@ static void claimed_speeds(March *m, const double *lo, const double *hi) {
     }
 }
 
-/* A claim that lies as far beyond `value` as both went on since the last pass, as if they went on so for ever: claims of joints that push each
- * other close in few passes. Whatever is claimed is verified. */
-static double carried_on(double claim, double value, double last_claim, double last_value) {
-    const double slope = (value - last_value) / (claim - last_claim);
-    const double on = slope > 0.0 ? least(slope, steepest) : 0.0; /* nor of what is not a number */
-    return claim + (value - claim) / (1.0 - on);
-}
-
 /* Do the accelerations lie inside the claims? If not, the claims grow. A joint at rest on the whole step (neither sign
  * possible) only has to be kept from starting. */
-static int claims_hold(March *m, int pass) {
+static int claims_hold(March *m) {
     const Step *s = &m->s;
     int good = 1;
     for (int i = 0; i < m->n; i++)
         for (int row = 0; row < 4; row++) {
             const int used = row < 2 ? s->plus[i] || (row == 1 && s->zero[i]) : s->minus[i] || (row == 2 && s->zero[i]);
-            const double value = m->out[row][i], claimed = m->claim[row][i], more = 0.05 * size_of(value) + 1e-3;
-            const double far = pass ? carried_on(claimed, value, m->tried[row][i], m->found[row][i]) : value;
+            const double value = m->out[row][i];
             double *claim = &m->claim[row][i];
-            m->tried[row][i] = claimed;
-            m->found[row][i] = value;
             if (!used) continue;
             if (row == 0 || row == 2) {
                 if (value < *claim && !(row == 2 && !s->minus[i] && value >= 0.0)) {
                     good = 0;
-                    *claim = far - more;
+                    *claim = value - 0.05 * size_of(value) - 1e-3;
                 }
             } else if (value > *claim && !(row == 1 && !s->plus[i] && value <= 0.0)) {
                 good = 0;
-                *claim = far + more;
+                *claim = value + 0.05 * size_of(value) + 1e-3;
             }
         }
     return good;
@@ -218,7 +206,7 @@ static int verify(March *m, int64_t k) {
         torques(m, v_lo, v_hi);
         stops_accelerations(&m->at, &m->s, m->out);
         if (m->related) stops_related(m->p, &m->E, &m->at, &m->s, m->parts, m->out);
-        if (claims_hold(m, attempt)) return 1;
+        if (claims_hold(m)) return 1;
     }
     return 0;
 }
@@ -326,7 +314,7 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->cap.hi[i] = m->energy.cap[i];
     }
     if (m->pulled)
-        stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->grown, &m->cap);
+        stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->cap);
     m->pulled = 0;
     for (int i = 0; i < n; i++) m->pulled |= m->cap.hi[i] - m->cap.lo[i] < worth * 2.0 * m->energy.cap[i];
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
