@@ -81,8 +81,8 @@ STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, 
         first += SIZES_OF(turn + own * mid[0]) + (spread + size * rad[0]);
         second += SIZES_OF(turn + own * mid[1]) + (spread + size * rad[1]);
     }
-    out[0] = sum_of(first);
-    out[1] = sum_of(second);
+    out[0] = sum_of(&first);
+    out[1] = sum_of(&second);
 }
 
 /* How far a row is from that at the entries' middle. */

@@ -64,8 +64,8 @@ STOPSET_WIDE static Turned turned(const Along *A, int i, const Relation *x) {
     const int n = x->n;
     Turned out = {0.0, 0.0, 0.0, 0.0};
     for (int g = 0; g < groups_of(n); g++) {
-        const Four *slope = A->slope[g], *column = (const Four *)(x->turns + g * LANES), self = slope[pair(i, i)];
-        Four turn = column[i * GROUPS] * -A->own[i] + self * x->r_mid[i], spread = SIZES_OF(self) * x->sized[i], scale = SIZES_OF(self) * x->all[i];
+        const Four *slope = A->slope[g], *column = (const Four *)(x->turns + g * LANES), self = slope[pair(i, i)], own = SIZES_OF(self);
+        Four turn = column[i * GROUPS] * -A->own[i] + self * x->r_mid[i], spread = own * x->sized[i], scale = own * x->all[i];
         for (int j = 0; j < n; j++) {
             if (j == i || !x->inside[j]) continue;
             const Four e = slope[j < i ? pair(j, i) : pair(i, j)], size = SIZES_OF(e);
@@ -73,10 +73,11 @@ STOPSET_WIDE static Turned turned(const Along *A, int i, const Relation *x) {
             spread += size * (x->sized[j] + x->r_rad[j]);
             scale += size * x->all[j];
         }
-        out.spread += sum_of(spread);
-        out.columns += sum_of(SIZES_OF(turn));
-        out.scale += sum_of(scale);
-        out.own += sum_of(SIZES_OF(self));
+        turn = SIZES_OF(turn);
+        out.spread += sum_of(&spread);
+        out.columns += sum_of(&turn);
+        out.scale += sum_of(&scale);
+        out.own += sum_of(&own);
     }
     return out;
 }
@@ -92,7 +93,8 @@ STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
         Four speed = column[i * GROUPS] * w;
         for (int j = 0; j < n; j++)
             if (j != i && x->inside[j]) speed += column[j * GROUPS] * -A->value[i * SN + j];
-        spread += sum_of(SIZES_OF(speed));
+        speed = SIZES_OF(speed);
+        spread += sum_of(&speed);
     }
     for (int j = 0; j < n; j++) {
         if (j != i && !x->inside[j]) continue;

@@ -81,7 +81,7 @@ typedef struct {
     double own[SN], value[SN * SN];
     Four slope[GROUPS][PAIRS];
 } Along;
-static inline double sum_of(Four x) { return (x[0] + x[1]) + (x[2] + x[3]); }
+static inline double sum_of(const Four *x) { return ((*x)[0] + (*x)[1]) + ((*x)[2] + (*x)[3]); }
 static inline int groups_of(int n) { return (n + LANES) / LANES; }
 /* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.
  * Then: B is A with joint k inside as stops_pivot does it, slopes along. */
