@@ -64,7 +64,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, failed, ramp, split, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, failed, gravity, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -140,12 +140,13 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
-    ("cut intervals", split, "TRIALS REWARD"),
+    ("cut intervals", split, "TRIALS REWARD BLURRED"),
     ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES SLICE ANGLE_WEIGHT"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
+    ("stop gravity", gravity, "GRID OUTWARD"),
     ("stop tube", tube, "PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
     ("stop tubes", tubes, "KNOTS ENERGY_KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),
