@@ -14,7 +14,7 @@ from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.robot import Robot
 
 
-class Seen(NamedTuple):
+class Surveyed(NamedTuple):
     """What one pass over a campaign finds; the stops are short and needed whole."""
 
     tally: Tally
@@ -28,17 +28,17 @@ class Campaign:
 
     meta: Meta
     trials: Source
-    _seen: list[Seen] = field(default_factory=list, init=False, repr=False, compare=False)
+    _seen: list[Surveyed] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
-    def seen(self) -> Seen:
+    def seen(self) -> Surveyed:
         """What is found in the trials, looked for once; who adds to the tally adds to a copy.
 
         Raises `RecordingError` if no trial has powered motion.
         """
         if not self._seen:
             tally, stops = tallied(self.trials)
-            self._seen.append(Seen(tally, tuple(stops), tally.survey()))
+            self._seen.append(Surveyed(tally, tuple(stops), tally.survey()))
         return self._seen[0]
 
 
