@@ -82,16 +82,26 @@ def test_the_image_is_pinned_without_a_compiler_and_nobodys_root() -> None:
     assert [rest for word, rest in final if word == "USER"] == ["10001"]
     health = next(rest for word, rest in final if word == "HEALTHCHECK")
     assert '"--check"' in health and '"--config"' in health
-    compose = (DEPLOY / "container/compose.yaml").read_text()
-    for line in (
-        "read_only: true",
-        "cap_drop: [ALL]",
-        "no-new-privileges:true",
-        "restart: always",
-        'user: "10001"',
-        "STOPSET_IMAGE:?",
-    ):
-        assert line in compose, line
+
+
+def test_the_container_runs_shut_in_and_is_begun_again() -> None:
+    yaml = pytest.importorskip("yaml")
+    (service,) = yaml.safe_load((DEPLOY / "container/compose.yaml").read_text())["services"].values()
+    assert service["read_only"] is True and service["cap_drop"] == ["ALL"] and "cap_add" not in service
+    assert "privileged" not in service and service["security_opt"] == ["no-new-privileges:true"]
+    assert service["user"] == "10001" and service["restart"] == "always" and service["image"].startswith("${STOPSET_IMAGE:?")
+    assert "/etc/stopset:/etc/stopset:ro" in service["volumes"] and any(
+        v.endswith(":/var/lib/stopset") for v in service["volumes"]
+    )
+    assert service["ulimits"] == {"memlock": -1, "rtprio": 40} and service["network_mode"] == "host"
+
+
+@pytest.mark.parametrize("wheel", ["nothing.whl", "numpy-2.0-py3-none-any.whl", "stopset-1.0.tar.gz", ""])
+def test_what_is_no_wheel_of_stopset_is_not_installed(tmp_path: Path, wheel: str) -> None:
+    (tmp_path / "numpy-2.0-py3-none-any.whl").write_text("")
+    (tmp_path / "stopset-1.0.tar.gz").write_text("")
+    done = sh(DEPLOY / "install.sh", *([tmp_path / wheel] if wheel else []))
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and done.stdout == ""
 
 
 @pytest.mark.parametrize(
