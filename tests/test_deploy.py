@@ -9,6 +9,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import time
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
@@ -17,8 +18,10 @@ from types import ModuleType
 import pytest
 
 from monitor_arm import known_model, meta, motion, with_torque_scaled
-from monitor_process import environment
+from monitor_process import environment, free_port
 from stopset.artifact import save_model
+from stopset.errors import BusError
+from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.recording import write_recordings
 
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
@@ -153,6 +156,34 @@ def test_certificates_that_end_are_told_and_renewed_by_the_same_authority(tmp_pa
     assert sh(pki / "expiry.sh", tmp_path / "nowhere").returncode == 2
     (tmp_path / "ca.key").unlink()
     assert sh(pki / "renew-certs.sh", tmp_path, "localhost").returncode == 2
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make certificates with")
+def test_a_certificate_that_has_ended_opens_nothing_until_it_is_renewed(tmp_path: Path) -> None:
+    """Real sessions by the shipped files: the look at certificates is red before anybody is shut out, and renewing opens again."""
+    zenoh, pki, port, name = DEPLOY / "zenoh", tmp_path / "pki", free_port(), "stopset-plc"
+    assert sh(zenoh / "pki/make-certs.sh", pki, "localhost", name).returncode == 0
+    for file in ("router", "plc"):
+        text = (zenoh / f"{file}.json5").read_text().replace("/etc/stopset/zenoh/pki", str(pki))
+        text = text.replace("0.0.0.0:7447", f"127.0.0.1:{port}").replace("router.cell.local:7447", f"localhost:{port}")
+        (tmp_path / f"{file}.json5").write_text(text)
+    router = ZenohLink(file=tmp_path / "router.json5")
+    try:
+        ZenohLink(file=tmp_path / "plc.json5").close()
+        (pki / "ended.ext").write_text(f"subjectAltName=DNS:{name}\nextendedKeyUsage=serverAuth,clientAuth\n")
+        request = ("openssl", "req", "-new", "-key", pki / f"{name}.key", "-subj", f"/CN={name}", "-out", pki / "ended.csr")
+        ended = ("openssl", "x509", "-req", "-in", pki / "ended.csr", "-CA", pki / "ca.pem", "-CAkey", pki / "ca.key", "-CAcreateserial",
+                 "-days", "0", "-extfile", pki / "ended.ext", "-out", pki / f"{name}.pem")  # fmt: skip
+        assert sh(*request).returncode == 0 == sh(*ended).returncode
+        time.sleep(1.5)
+        done = sh(zenoh / "pki/expiry.sh", pki)
+        assert done.returncode == 1 and f"{name}.pem ends within 30 days" in done.stdout
+        with pytest.raises(BusError, match="no zenoh session with"):
+            ZenohLink(file=tmp_path / "plc.json5")
+        assert sh(zenoh / "pki/renew-certs.sh", pki, "localhost", name).returncode == 0
+        ZenohLink(file=tmp_path / "plc.json5").close()
+    finally:
+        router.close()
 
 
 def version(folder: Path, healthy: bool) -> Path:
