@@ -34,7 +34,9 @@ print(f"{len(measured)} directions of recorded stops; {np.sum(measured > bounded
 speeds = np.linspace(0.1, 0.9, 9)
 bounds = [stop(model, model.domain.q.centre, s * model.domain.dq.hi, "0") for s in speeds]
 for s, bound in zip(speeds, bounds, strict=True):
-    print(f"{100 * s:3.0f} % speed:", bound.why or f"{bound.time.max() * 1e3:.0f} ms, {np.rad2deg(bound.forward).max():.2f} deg")
+    time_ms, angle_deg = (None, None) if bound.time is None else (bound.time.max() * 1e3, np.rad2deg(bound.forward).max())
+    # a bound is rounded up
+    print(f"{100 * s:3.0f} % speed:", bound.why or f"{np.ceil(time_ms):.0f} ms, {np.ceil(100 * angle_deg) / 100:.2f} deg")
 
 # %%
 import matplotlib.pyplot as plt
