@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from stopset.offline.nominal.open_loop import JointBatch
+from stopset.effects import get
+from stopset.offline.nominal.open_loop import SPEED_LIMIT, EffectTerm, JointBatch, roll_out
 from stopset.offline.nominal.output_error import FEW, STARTS, _lag_misfit, fit_lag
 
 DT, N = 0.01, 200
@@ -41,3 +42,11 @@ def test_the_fit_is_the_best_that_any_start_leads_to_on_all_trials(J: float, v: 
     assert 0.5 * np.sum(misfit(found) ** 2) <= best.cost * (1 + 1e-7)
     np.testing.assert_allclose(found, best.x, rtol=0, atol=1e-4)
     assert np.exp(found[:2]) == pytest.approx([J, v], rel=0.1)
+
+
+def test_a_simulation_that_runs_away_goes_on_at_the_limit_instead_of_overflowing() -> None:
+    """A spring that pushes: its torque grows with the position, which went on growing although the speed was held at the limit."""
+    data = batch(1.0, 5.0, moving=4, still=0, seed=1)
+    q, dq = roll_out(data, np.ones(1), np.full(1, 5.0), np.array([[0.0, -1e4, 0.0]]), [EffectTerm(get("spring"), {})])
+    assert np.max(np.abs(dq)) == pytest.approx(SPEED_LIMIT)
+    assert np.max(np.abs(np.diff(q, axis=1))) <= SPEED_LIMIT * DT * (1 + 1e-9)

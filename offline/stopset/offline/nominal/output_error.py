@@ -12,10 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from stopset.effects.base import Fitted
+from stopset.offline.nominal.filters import lag
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, roll_out
 from stopset.types import Array
 
@@ -67,6 +66,8 @@ def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), d
 
 def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
     """``log J, log v, offset`` without effects: linear filters over the whole batch; ``described``: inertia expected [kg m^2]."""
+    from scipy.optimize import least_squares  # half a second, not for who only simulates
+
     misfit = _lag_misfit(batch)
     if described is not None:
         expected = np.array([np.log(described), np.log(described / USUAL_TIME), 0.0])
@@ -94,7 +95,7 @@ def _lag_misfit(batch: JointBatch) -> Callable[[Array], Array]:
         (J, v), offset = np.exp(np.clip(p[:2], -FAR, FAR)), p[2]
         decay, gain = np.exp(-v * dt / J), -np.expm1(-v * dt / J) / v
         drive = np.vstack([batch.dq[:1], gain * (batch.u[:-1] - offset)])
-        dq = lfilter([1.0], [1.0, -decay], drive, axis=0)
+        dq = lag(float(decay), drive)
         # J (dq(t) - dq0) + v (q(t) - q0) = int u: position without a second integration
         moved = np.vstack([np.zeros_like(impulse[:1]), impulse[:-1]]) - offset * elapsed
         q = batch.q[0] + (moved - J * (dq - dq[0])) / v
