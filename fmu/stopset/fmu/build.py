@@ -143,7 +143,7 @@ def _link_windows(folder: Path, units: Sequence[str], platform: Platform, core: 
     (folder / out).write_bytes(code)
 
 
-def _kept(sources: Mapping[str, str], names: Sequence[str], platform: Platform, make: Callable[[], bytes]) -> bytes:
+def _cached(sources: Mapping[str, str], names: Sequence[str], platform: Platform, make: Callable[[], bytes]) -> bytes:
     """What ``make`` compiles of ``sources``, from the user's cache if it was compiled before; ``names``: what else it depends on."""
     cache = cache_folder()
     everything = [version("ziglang"), Path(__file__).read_text(), repr(platform), *names]  # how it is made is written here
@@ -186,10 +186,10 @@ def binaries(
             say(f"compiled {next(done)} of {2 * len(platforms)} after {time.monotonic() - begin:.0f} s: {what}")
 
         def make(platform: Platform) -> bytes:
-            made = _kept(core, ["core"], platform, lambda: _compile_core(folder, shared, platform))
+            made = _cached(core, ["core"], platform, lambda: _compile_core(folder, shared, platform))
             progress(f"the core for {platform.name}")
             rest = [unit for unit in units if unit not in core]
-            library = _kept(sources, [identifier], platform, lambda: _link(folder, rest, platform, identifier, made))
+            library = _cached(sources, [identifier], platform, lambda: _link(folder, rest, platform, identifier, made))
             progress(f"the library for {platform.name}")
             return library
 
