@@ -438,3 +438,13 @@ def test_a_regressor_passes_scipys_filter_to_the_last_bit_and_lags_are_exact_for
         assert np.abs(found[inside, k] - late[inside] ** power).max() < 1e-12
     # at the ends the last sample repeats
     assert np.abs(m.delayed(m.q, np.array([1e3]))[:, :, 0] - m.q[0]).max() < 1e-12
+
+
+def test_rounding_decides_nothing() -> None:
+    """Columns that are zero but for rounding tell nothing of how correlated errors are: a change of 1e-13 of the positions changes no more."""
+    true, cad = wrong_cad()
+    data, moved = campaign(Truth(true)), np.random.default_rng(5)
+    again = tuple(replace(r, q=r.q * (1 + 1e-13 * moved.normal(size=r.q.shape))) for r in data.trials)
+    once, other = identify_nominal(cad, data), identify_nominal(cad, replace(data, trials=again))
+    assert np.abs(other.inflation / once.inflation - 1).max() < 1e-8
+    assert np.abs(other.theta - once.theta).max() < 1e-6 * np.abs(once.theta).max()

@@ -96,7 +96,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("inertia floor", floor, "FASTEST WEAK POSES"),
     ("shared motors", pair_choice, "LOWERED LOOKED_AT"),
     ("friction laws", friction_choice, "GAINS LOADS NEVER"),
-    ("fit", fit, "ROUNDS FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR CLEARLY"),
+    ("fit", fit, "ROUNDS FELT FEW_GROUPS MOST_INFLATION ASSUMED_SPREAD ASSUMED_FREEDOM COVERED RIDGE WIDEST_PRIOR CLEARLY"),
     ("friction", friction, "CREEP DRY ENDS DENSE"),
     ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
     ("open loop", open_loop, "DIRECTION_WIDTH SPEED_LIMIT"),

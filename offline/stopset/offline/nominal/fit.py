@@ -23,6 +23,9 @@ MOST_INFLATION = 1000.0
 ASSUMED_SPREAD = 0.02  # of friction from motion to motion, where one motion cannot tell
 ASSUMED_FREEDOM = 4.0  # motions that the assumed spread counts for beside those seen
 COVERED = 0.975  # by two standard errors, one-sided
+# [N m] of one unit of a parameter, root mean square over the rows: less is a rounded zero, as a cosine of 90 degrees leaves it, and scaled
+# to one it would count as a direction that the data determine, in which rounding decides how correlated errors are
+FELT = 1e-9
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 30.0  # times: a CAD further off than this is another robot
 # by which something undescribed at the last link must lower minus twice the log evidence: 2.8 kg on a real arm lower it by 75 to 550, and
@@ -156,7 +159,8 @@ def _scores(data: NormalEquations, moving: Array, p: _Problem) -> list[_Scores |
         cut = np.r_[0 : len(p.index[j]), moving.shape[-1] - 1]
         G = moving[groups, j][:, cut][:, :, cut]
         A = G[:, :-1, :-1].sum(axis=0)
-        d = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+        felt = np.diag(A) > FELT**2 * data.rows_moving[groups, j].sum()
+        d = np.where(felt, 1 / np.sqrt(np.maximum(np.diag(A), 1e-300)), 0.0)
         values, vectors = np.linalg.eigh(d[:, None] * A * d)
         sound = values > 1e-7 * values[-1]
         W = (d[:, None] * vectors[:, sound] / np.sqrt(values[sound])).T
