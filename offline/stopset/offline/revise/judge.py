@@ -16,15 +16,13 @@ from stopset.artifact.inputs import entry
 from stopset.effects import get
 from stopset.effects.base import Fitted
 from stopset.effects.selection import parse_effect
-from stopset.offline.campaign.hold_out import HoldOut
-from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import settled
 from stopset.offline.diagnose.question import question
-from stopset.offline.revise.held_out import nominal_figures
+from stopset.offline.revise.held_out import Halves, nominal_figures
 from stopset.progress import Progress
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -64,13 +62,12 @@ class Judge:
     model: Model
     robot: Robot
     campaign: Campaign
-    division: HoldOut
-    session: Session
+    halves: Halves
     progress: Progress
 
     def simulated(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
         """Errors of the nominal model fitted to one part of the recordings, on the other."""
-        return _flat(nominal_figures(self.robot, self.campaign, settings, self.division, self.session, known))
+        return _flat(nominal_figures(self.robot, self.campaign.meta, self.halves, settings, known))
 
 
 def by_simulation(
@@ -89,7 +86,7 @@ def by_simulation(
         judged.append(Judged(name, errors, after, helps, entry(effect), why))
         if not why:
             settings, errors = more, after
-    return Judgement(tuple(judged), start, settings, (), judge.division.words)
+    return Judgement(tuple(judged), start, settings, (), judge.halves.words)
 
 
 def retained_effects(model: Model) -> tuple[Fitted, ...]:
