@@ -50,7 +50,7 @@ def test_strong_coupling_is_bounded_and_marked() -> None:
     r, v = s.noise.radius[:6], s.noise.radius[6:]
     for k, (q, dq) in enumerate(hard_states(4)):
         bound = bounds.bound(q, dq)
-        assert bound.certified and bound.layer == "energy" and "fall-back" in bound.why
+        assert bound.certified and bound.layer == "energy" and "kinetic energy" in bound.why
         assert bound.holding_margin is not None and bound.holding_margin.min() >= 0.0
         tube = march_box(s, s.plant, Start(q, dq, r, v), energetic=True)
         x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 100, k)

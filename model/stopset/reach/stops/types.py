@@ -29,7 +29,7 @@ class StopBound:
     centre point; ``tcp_speed`` [m/s]; ``tcp_box``: (3, 2) [m] its displacement in base coordinates; ``links``: (n,) [m]
     displacement and ``link_speed`` (n,) [m/s] speed of each link's outer end; ``holding_margin``: (n,) [N m] brake and friction torque left over when
     holding, negative or nan where the arm is not held; ``certified``: whether the numbers are proved for the stated
-    assumptions; ``why``: one sentence, always filled when not certified, and where a looser fall-back was needed;
+    assumptions; ``why``: one sentence, always filled when not certified, and where the kinetic energy was needed;
     ``fallback``: STOP 2: what a STOP 0 adds if the standstill window is left, (rad, s), None where that is not proved;
     ``extrapolated``: where filled, the numbers hold for a state or payload that identification has not seen, as it says, and the
     bound is not certified; ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction;
