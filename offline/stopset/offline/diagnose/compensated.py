@@ -9,7 +9,7 @@ one is looked for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,13 +60,17 @@ class _Claim:
 
 @dataclass(frozen=True, slots=True)
 class _Joint:
-    """A joint's trials, even and odd; the terms its model has; what was claimed beside them, one after another, with its numbers."""
+    """A joint's trials, even and odd; the terms its model has; what was claimed beside them, one after another.
+
+    ``kept``, ``fitted``: numbers of both, estimated together.
+    """
 
     name: str
     train: JointBatch
     held: JointBatch
     own: tuple[EffectTerm, ...]
     claims: tuple[_Claim, ...]
+    kept: tuple[Fitted, ...]
     fitted: tuple[Fitted, ...]
 
     def ranked(self) -> list[Ranked]:
@@ -115,6 +119,12 @@ class OpenLoop:
             out.append((before, joint.error(mine)))
         return out
 
+    def with_claims(self, model: Sequence[Fitted], chosen: Sequence[Ranked]) -> tuple[Fitted, ...]:
+        """Effects of a ``model`` once it has the claims ``chosen``; at their joints its own numbers held what was missing until now."""
+        touched = {r.joints[0] for r in chosen}
+        anew = {f.label: f for joint in self.joints if joint.name in touched for f in joint.kept}
+        return (*(anew.get(f.label, f) for f in model), *(r.fitted for r in chosen))
+
 
 def diagnose_open_loop(
     model: Model, recordings: Recordings, names: Sequence[str] | None = None, progress: Progress = silent
@@ -135,11 +145,13 @@ def diagnose_open_loop(
     )
 
 
-def search_open_loop(model: Model | TorqueModel, recordings: Recordings, found: Survey, progress: Progress = silent) -> OpenLoop:
+def search_open_loop(
+    model: Model | TorqueModel, recordings: Recordings, found: Survey, progress: Progress = silent, *, joints: Collection[str] | None = None
+) -> OpenLoop:
     """The search that `diagnose`, `add` and `identify --effects` share; ``found``: the campaign's survey.
 
-    The whole catalogue is searched whoever asks: an effect looked for alone takes up what another one does.  Motions that a model's
-    sets are judged on are left out.  Errors are those of odd repetitions, which the fit has not seen; the numbers come from all.
+    The whole catalogue is searched whoever asks: an effect looked for alone takes up what another one does.  ``joints``: of these only,
+    for in compensated torque every joint is a system of its own.  Motions that a model's sets are judged on are left out.  Errors are those of odd repetitions, which the fit has not seen; the numbers come from all.
     Raises `RecordingError` if no suite was repeated.
     """
     trials = [r for r in recordings if r.phase == found.phase and len(r.t) > 2 and r.suite_key not in found.held_out]
@@ -157,21 +169,19 @@ def search_open_loop(model: Model | TorqueModel, recordings: Recordings, found: 
         coarse = [_averaged(r, factor) for r in grid] if factor > 1 else grid
         return joint_batches(model.robot, coarse, [found.warm(r) for r in part], found.dt * factor)
 
-    joints: list[_Joint] = []
-    material = zip(batches(even, factor), batches(odd, factor), batches(trials, 1), strict=True)
+    searched: list[_Joint] = []
+    material = zip(model.robot.joints, batches(even, factor), batches(odd, factor), batches(trials, 1), strict=True)
+    asked = [(j, m) for j, m in enumerate(material) if joints is None or m[0] in joints]
     inertia = np.diag(mean_inertia(model.robot, model.robot.rotor, found))
-    for k, (name, (train, held, whole)) in enumerate(zip(model.robot.joints, material, strict=True)):
-        so_far = sum(len(j.claims) for j in joints)
-        progress(
-            f"simulating {name} with every effect: joint {k} of {model.robot.n} done, {so_far} effects found so far",
-            k / model.robot.n,
-        )
+    for k, (j, (name, train, held, whole)) in enumerate(asked):
+        so_far = sum(len(x.claims) for x in searched)
+        progress(f"simulating {name} with every effect: joint {k} of {len(asked)} done, {so_far} effects found so far", k / len(asked))
         own = tuple(_term(f) for f in compensated(model.effects, model.abstraction) if f.joint in (name, None))
         claims = tuple(_claims(name, train, held, list(own), candidates(train, None)))
         terms = [*own, *(c.trial.term for c in claims)]
-        fitted = fit_joint(whole, name, terms, float(inertia[k])).effects[len(own) :] if claims else ()
-        joints.append(_Joint(name, train, held, own, claims, fitted))
-    return OpenLoop(tuple(joints), len(trials), sum(len(r.t) for r in trials))
+        fitted = fit_joint(whole, name, terms, float(inertia[j])).effects if claims else ()
+        searched.append(_Joint(name, train, held, own, claims, fitted[: len(own)], fitted[len(own) :]))
+    return OpenLoop(tuple(searched), len(trials), sum(len(r.t) for r in trials))
 
 
 def candidates(batch: JointBatch, names: Sequence[str] | None) -> list[EffectTerm]:

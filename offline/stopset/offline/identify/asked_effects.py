@@ -56,7 +56,8 @@ def _simulated(run: Run, known: Sequence[Fitted]) -> tuple[Fitted, ...]:
     plain = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
     trials = Recordings(replace(run.meta, joints=run.robot.joints), tuple(run.trials()))
     try:
-        found = search_open_loop(plain, trials, run.survey)
+        joints = {joint for e in wanted for joint in parse_effect(e, run.robot)[1]}
+        found = search_open_loop(plain, trials, run.survey, joints=joints)
     except RecordingError:  # nothing was repeated, so nothing can be judged
         return tuple(known)
     return (*known, *(r.fitted for r, _ in found.ranked() if any(matches(r.fitted, e) for e in wanted)))

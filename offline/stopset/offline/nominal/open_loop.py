@@ -26,7 +26,7 @@ from stopset.types import Array
 
 # [rad/s] width of the change of direction: a sign would chatter within a step, a tenth of a degree per second does not
 DIRECTION_WIDTH = 0.01
-SPEED_LIMIT = 20.0  # [rad/s] a diverging simulation stops here instead of overflowing
+SPEED_LIMIT = 20.0  # [rad/s] a diverging simulation goes on at this speed instead of overflowing
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ def roll_out(
             for value, column in zip(theta[1:], columns, strict=True):
                 u = u - value * column
         faster = np.clip(decay * dq + gain * u, -SPEED_LIMIT, SPEED_LIMIT)
-        q = q + (batch.dt * u - J * (faster - dq)) / v
+        q = q + np.clip((batch.dt * u - J * (faster - dq)) / v, -SPEED_LIMIT * batch.dt, SPEED_LIMIT * batch.dt)
         dq = faster
     return Q.transpose(1, 0, 2), DQ.transpose(1, 0, 2)
 

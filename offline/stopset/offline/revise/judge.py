@@ -83,13 +83,13 @@ def by_simulation(
 
     ``first``: errors that are known already.
     """
-    found = _named_by_simulation(judge)
+    found = _named_by_simulation(judge, names)
     claims = {name: found.matching(name) if found else [] for name in names}
     order = [r for name in names for r in claims[name]]
     steps = dict(zip((r.label for r in order), found.steps(order) if found else (), strict=True))
     at_first = {r.joints[0]: steps[r.label][0] for r in reversed(order)}
     errors = start = _with_position(first or judge.simulated(settings, ()), at_first)
-    known, judged = [*retained_effects(judge.model)], []
+    judged = []
     for name in names:
         judge.progress(f"judging {name} on held-out data")
         more = replace(settings, effects=(*settings.effects, name))
@@ -99,22 +99,24 @@ def by_simulation(
             mine = {r.joints[0]: steps[r.label] for r in claims[name]}
             before, after = (_with_position(x, {j: e[k] for j, e in mine.items()}) for k, x in enumerate((errors, after)))
             judged.append(Judged(name, before, after, helps=True, enters=entry(effect)))
-            known += [r.fitted for r in claims[name]]
         else:
             helps = _helps(errors, after, joints, shift=effect.enters in SHIFTS)
             why = "" if helps or force else "it does not lower the error on held-out data"
             judged.append(Judged(name, errors, after, helps, entry(effect), why))
         if not judged[-1].why:
             settings, errors = more, after
-    return Judgement(tuple(judged), start, settings, tuple(known), judge.division.words)
+    retained = retained_effects(judge.model)
+    known = found.with_claims(retained, order) if found else retained
+    return Judgement(tuple(judged), start, settings, known, judge.division.words)
 
 
-def _named_by_simulation(judge: Judge) -> OpenLoop | None:
+def _named_by_simulation(judge: Judge, names: Sequence[str]) -> OpenLoop | None:
     """What the diagnosis finds missing; None where nothing was repeated, so that it can judge nothing."""
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
+    joints = {joint for name in names for joint in parse_effect(name, judge.robot)[1]}
     try:
-        return search_open_loop(judge.model, recordings, survey(lambda: recordings.trials), judge.progress)
+        return search_open_loop(judge.model, recordings, survey(lambda: recordings.trials), judge.progress, joints=joints)
     except RecordingError:
         return None
 
