@@ -15,7 +15,7 @@ from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
-from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
+from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations, drives_scale
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
@@ -107,7 +107,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     engine = already.engine
     joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
     deviation = deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
-    numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
+    scale = drives_scale(found.now, left.theta)
+    numbers = [parameters(c.scored, d, scale) for c, d in zip(found.claims, deviation, strict=True)]
     objections = []
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
@@ -144,10 +145,11 @@ def _says(effect: Effect, numbers: Mapping[str, Parameter]) -> str:
     return f"{text}, centre at ({centre}) m in the last link's frame."
 
 
-def parameters(scored: Scored, deviation: Mapping[str, float]) -> dict[str, Parameter]:
-    """Terms, then shapes, each with its standard ``deviation``."""
+def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:
+    """Terms, then shapes, each with its standard ``deviation``; a load is weighed in true torque, the recorded one over ``scale``."""
     c = scored.candidate
-    values = {t.symbol: (float(v), t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
+    per = scale if c.effect.carried else 1.0
+    values = {t.symbol: (float(v) / per, t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
     values |= {p.symbol: (float(c.shapes[p.symbol]), p.unit) for p in c.effect.shapes}
     if c.effect.enters == "input_delay" and "d0" in c.shapes:
         symbol = c.effect.terms[0].symbol

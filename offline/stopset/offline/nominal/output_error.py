@@ -59,7 +59,7 @@ def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), d
     determined = described is None or bool(np.all(_spread(batch, (), p)[:2] < UNDETERMINED))
     if not determined:
         p = fit_lag(batch, described)
-    p = np.concatenate([p, np.zeros(sum(len(t.effect.terms) for t in terms))])
+    p = np.concatenate([p, *(np.array(t.given or np.zeros(len(t.effect.terms))) for t in terms)])
     if terms:
         p = gauss_newton(batch, terms, p, lag_known=not determined)
     return _packed(batch, joint, terms, p, determined=determined)
@@ -123,15 +123,15 @@ def gauss_newton(
 ) -> Array:
     """Levenberg's damped steps from ``p`` (log J, log v, offset, effects' terms) until the cost falls no more.
 
-    ``lag_known``: inertia and damping stay as they are.
+    ``lag_known``: inertia and damping stay as they are; so do terms whose values are given.
     """
     damping = 1e-3
+    known = np.array([lag_known, lag_known, False, *(bool(x.given) for x in terms for _ in x.effect.terms)])
     lo = np.array([-np.inf] * 3 + [t.lo for x in terms for t in x.effect.terms])
     hi = np.array([np.inf] * 3 + [t.hi for x in terms for t in x.effect.terms])
     for _ in range(steps):
         e, D = residuals(batch, terms, p, with_jacobian=True)
-        if lag_known:
-            D[:, :2] = 0.0
+        D[:, known] = 0.0
         cost, A, g = float(e @ e), D.T @ D, D.T @ e
         for _ in range(6):
             trial = np.clip(p - np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), g), lo, hi)
