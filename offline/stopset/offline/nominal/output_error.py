@@ -9,7 +9,7 @@ Source: Liu & Althoff (2018), eq. (13); Ljung, System Identification (1999), sec
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -59,8 +59,13 @@ def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), d
     determined = described is None or bool(np.all(_spread(batch, (), p)[:2] < UNDETERMINED))
     if not determined:
         p = fit_lag(batch, described)
-    p = np.concatenate([p, *(np.array(t.given or np.zeros(len(t.effect.terms))) for t in terms)])
+    p = np.concatenate([p, *(np.zeros(len(t.effect.terms)) for t in terms)])
     if terms:
+        p = gauss_newton(batch, [replace(t, given=()) for t in terms], p, lag_known=not determined)
+    if any(t.given for t in terms):  # from a lag without effects their numbers lead astray: they hold from where a free fit ends
+        at = 3 + np.cumsum([0, *(len(t.effect.terms) for t in terms)])
+        for t, k in zip(terms, at[:-1], strict=True):
+            p[k : k + len(t.given)] = t.given
         p = gauss_newton(batch, terms, p, lag_known=not determined)
     return _packed(batch, joint, terms, p, determined=determined)
 
