@@ -28,7 +28,7 @@ from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
-from stopset.offline.nominal.output_error import fit_joint, fit_lag, gauss_newton, residuals
+from stopset.offline.nominal.output_error import fit_joint, fit_lag, gauss_newton, residuals, start
 from stopset.progress import Progress, silent
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
@@ -108,6 +108,11 @@ class OpenLoop:
         """The claims that ``name`` asks for, in their order."""
         return [r for r, _ in self.ranked() if matches(r.fitted, name)]
 
+    def besides(self, chosen: Sequence[Ranked], joints: Collection[str]) -> tuple[str, ...]:
+        """Claims at ``joints`` that are not among the ``chosen``."""
+        taken = {r.label for r in chosen}
+        return tuple(r.label for r, _ in self.ranked() if r.joints[0] in joints and r.label not in taken)
+
     def steps(self, chosen: Sequence[Ranked]) -> list[tuple[float, float]]:
         """Held-out error [rad] of its joint before and after each of the claims ``chosen``, beside those before it."""
         by, taken, out = {j.name: j for j in self.joints}, dict[str, list[str]](), []
@@ -146,12 +151,18 @@ def diagnose_open_loop(
 
 
 def search_open_loop(
-    model: Model | TorqueModel, recordings: Recordings, found: Survey, progress: Progress = silent, *, joints: Collection[str] | None = None
+    model: Model | TorqueModel,
+    recordings: Recordings,
+    found: Survey,
+    progress: Progress = silent,
+    *,
+    joints: Collection[str] | None = None,
 ) -> OpenLoop:
     """The search that `diagnose`, `add` and `identify --effects` share; ``found``: the campaign's survey.
 
-    The whole catalogue is searched whoever asks: an effect looked for alone takes up what another one does.  ``joints``: of these only,
-    for in compensated torque every joint is a system of its own.  Motions that a model's sets are judged on are left out.  Errors are those of odd repetitions, which the fit has not seen; the numbers come from all.
+    The whole catalogue is searched whoever asks: an effect looked for alone takes up what another one does.  ``joints``: of these
+    only, for in compensated torque every joint is a system of its own.  Motions that a model's sets are judged on are left out.
+    Errors are those of odd repetitions, which the fit has not seen; the numbers come from all.
     Raises `RecordingError` if no suite was repeated.
     """
     trials = [r for r in recordings if r.phase == found.phase and len(r.t) > 2 and r.suite_key not in found.held_out]
@@ -175,7 +186,9 @@ def search_open_loop(
     inertia = np.diag(mean_inertia(model.robot, model.robot.rotor, found))
     for k, (j, (name, train, held, whole)) in enumerate(asked):
         so_far = sum(len(x.claims) for x in searched)
-        progress(f"simulating {name} with every effect: joint {k} of {len(asked)} done, {so_far} effects found so far", k / len(asked))
+        progress(
+            f"simulating {name} with every effect: joint {k} of {len(asked)} done, {so_far} effects found so far", k / len(asked)
+        )
         own = tuple(_term(f) for f in compensated(model.effects, model.abstraction) if f.joint in (name, None))
         claims = tuple(_claims(name, train, held, list(own), candidates(train, None)))
         terms = [*own, *(c.trial.term for c in claims)]
@@ -274,8 +287,8 @@ def _claims(joint: str, train: JointBatch, held: JointBatch, terms: list[EffectT
 
 def _fitted(train: JointBatch, terms: Sequence[EffectTerm]) -> Array:
     """Parameters of a joint with ``terms``."""
-    p = np.concatenate([fit_lag(train), np.zeros(sum(len(t.effect.terms) for t in terms))])
-    return gauss_newton(train, terms, p) if terms else p
+    p = fit_lag(train)
+    return gauss_newton(train, terms, start(train, terms, p)) if terms else p
 
 
 def _try(
@@ -284,8 +297,8 @@ def _try(
     """One effect beside ``terms``, fitted from ``p`` for a few steps or to the end."""
     more = [*terms, term]
     size = 3 + sum(len(t.effect.terms) for t in more)
-    start = np.concatenate([p, np.zeros(size - len(p))])
-    fitted = gauss_newton(train, more, start) if steps is None else gauss_newton(train, more, start, steps)
+    begun = np.concatenate([p, np.zeros(size - len(p))])
+    fitted = gauss_newton(train, more, begun) if steps is None else gauss_newton(train, more, begun, steps)
     error, by_trial = _held_out(held, more, fitted)
     halves = [1.0 - float(np.sqrt(by_trial[k::2].sum() / before[k::2].sum())) for k in (0, 1)]
     return _Trial(term, error, min(halves), fitted)

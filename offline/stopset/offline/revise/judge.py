@@ -39,7 +39,10 @@ NO_TRACE = "the data show no trace of it, so there are no numbers to add"
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One effect held against data that the fit has not seen; ``why`` it was refused, empty where it was taken."""
+    """One effect held against data that the fit has not seen; ``why`` it was refused, empty where it was taken.
+
+    ``beside``: what else was found at its joint, and not asked for; its numbers are those beside these.
+    """
 
     name: str
     before: dict[str, float]
@@ -47,6 +50,7 @@ class Judged:
     helps: bool
     enters: str  # where it goes in the model
     why: str = ""
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +102,8 @@ def by_simulation(
         if claims[name]:
             mine = {r.joints[0]: steps[r.label] for r in claims[name]}
             before, after = (_with_position(x, {j: e[k] for j, e in mine.items()}) for k, x in enumerate((errors, after)))
-            judged.append(Judged(name, before, after, helps=True, enters=entry(effect)))
+            beside = found.besides(order, mine) if found else ()
+            judged.append(Judged(name, before, after, helps=True, enters=entry(effect), beside=beside))
         else:
             helps = _helps(errors, after, joints, shift=effect.enters in SHIFTS)
             why = "" if helps or force else "it does not lower the error on held-out data"
