@@ -9,14 +9,18 @@ from __future__ import annotations
 import argparse
 import contextlib
 import copy
+import gzip
 import io
 import json
 import logging
 import math
 import random
+import socket
 import sqlite3
+import struct
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -27,31 +31,39 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import can
 import numpy as np
+import zstandard
 from mcap.writer import CompressionType, Writer
 
 from monitor_arm import known_model, motion
 from state_messages import pack
 from stopset.artifact import load_model, save_model
 from stopset.artifact.store import _digest
-from stopset.errors import StopsetError
+from stopset.errors import BusError, StopsetError
 from stopset.monitor.along import watch_for
 from stopset.monitor.authentication import load_keys
 from stopset.monitor.bags import trials_of_bag
 from stopset.monitor.config import load_config
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
+from stopset.monitor.journal import Journal, blank
+from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import unpack
 from stopset.monitor.links.canopen_map import Encoder
 from stopset.monitor.links.decoder import Decoder
-from stopset.monitor.logs import trials_of_log
+from stopset.monitor.links.hub import HubClient
+from stopset.monitor.links.rtde_client import ASK_VERSION, DATA, HEAD, OUTPUTS, START, TEXT, RtdeClient
+from stopset.monitor.logs import play_log, trials_of_log
 from stopset.monitor.orders import parse_reset
 from stopset.monitor.profile import load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.source import CanSource
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View
 from stopset.recording.seen import open_seen
 
+IN_MEMORY = ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer", "hub", "latch")
 PROFILE = load_profile("lwa4p/monitor")
+SPOKEN = ("timestamp", "actual_q", "actual_qd")
 SPICE = [
     b"\0", b"\xff", b"\xff\xff\xff\xff",
     b"\x7f\xff\xff\xff", b"NaN", b"1e999", b"-1", b"9" * 400, b"9" * 5000, b"[" * 2000, b"{" * 2000, b'"', b"null",
@@ -150,6 +162,87 @@ def frames(data: bytes) -> None:
         d.nodes.bad(t)
 
 
+def from_hub() -> Callable[[bytes], object]:
+    """A bus over TCP, whose server says anything once it has greeted."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def greet() -> None:
+        other.append(server.accept()[0])
+        for _ in range(2):
+            other[0].sendall(b"< ok >")
+            other[0].recv(64)
+        other[0].sendall(b"< ok >")
+
+    other: list[socket.socket] = []
+    threading.Thread(target=greet, daemon=True).start()
+    source = CanSource(HubClient("127.0.0.1", server.getsockname()[1]), PROFILE, PROFILE.cycle_s)
+
+    def parse(data: bytes) -> object:
+        other[0].sendall(data)
+        return source.next(1e-3)
+
+    return parse
+
+
+def from_controller() -> Callable[[bytes], object]:
+    """A controller that says anything to whoever calls; what it has been asked is not looked at."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def parse(data: bytes) -> object:
+        said: list[object] = []
+
+        def serve() -> None:
+            with contextlib.suppress(OSError), server.accept()[0] as s:
+                s.sendall(data)
+                s.shutdown(socket.SHUT_WR)
+                while s.recv(4096):
+                    pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            with contextlib.closing(RtdeClient(server.getsockname(), SPOKEN, 500.0)) as client:
+                said += client.rows(1.0)
+        except BusError:
+            if not said:
+                raise
+        finally:
+            thread.join()
+        return said
+
+    return parse
+
+
+class Slots:
+    """The latch's journal on a disk that has done something to it."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = bytearray(data)
+
+    def read(self) -> bytes:
+        return bytes(self.data)
+
+    def write(self, offset: int, data: bytes) -> None:
+        self.data[offset : offset + len(data)] = data
+
+    flush = close = lambda self: None
+
+
+def latch(data: bytes) -> None:
+    """Only a journal that was written unlatched, to the last bit, is not latched."""
+    assert Latch(Journal(Slots(data))).latched or data == blank(Record()), "a violation may have been forgotten"
+
+
+def played(path: Path) -> None:
+    """Onto a bus, with a clock that stands still."""
+
+    def sleep(seconds: float) -> None:
+        if not 0.0 <= seconds < 2.0**63 * 1e-9:
+            raise OverflowError(f"a pause of {seconds} s")
+
+    play_log(path, lambda c, d: None, 1.0, PROFILE, lambda: 0.0, sleep)
+
+
 def viewer(data: bytes) -> None:
     view = View()
     for take in (view.take_json, view.take_event, view.take_health, view.take_state):
@@ -225,7 +318,19 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "EDS": [PROFILE.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
         "MCAP": [out.getvalue()], "MCAP of a violation": [record(CompressionType.NONE), record(CompressionType.ZSTD)], "db3": [db.read_bytes()],
         "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
+        "played log": files[".log"], "candump.gz": [gzip.compress(files[".log"][0])], "db3.zstd": [zstandard.compress(db.read_bytes())],
+        "candump on screen": ["\n".join(f" ({1.7e9 + t:.6f})  can0  {c:03X}   [{len(d)}]  {bytes(d).hex(' ')}" for t, c, d in stream).encode()],
+        "hub": ["".join(f"< frame {c:03X} {time.time():.6f} {bytes(d).hex()} >" for _, c, d in stream[:60]).encode()],
+        "RTDE": [conversation()], "latch": [blank(Record()), blank(Record(why="a measurement was outside its prediction", count=3))],
     }  # fmt: skip
+
+
+def conversation() -> bytes:
+    """All that a controller says to a client, to its first rows."""
+    types = ",".join("VECTOR6D" if name.startswith("actual") else "DOUBLE" for name in SPOKEN).encode()
+    row = b"".join(struct.pack(">6d", *[0.1] * 6) if name.startswith("actual") else struct.pack(">d", 3.0) for name in SPOKEN)
+    said = [(ASK_VERSION, b"\1"), (OUTPUTS, b"\1" + types), (START, b"\1"), (TEXT, b"\5hello\3arm\1"), *[(DATA, b"\1" + row)] * 3]
+    return b"".join(HEAD.pack(HEAD.size + len(payload), kind) + payload for kind, payload in said)
 
 
 def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
@@ -255,10 +360,12 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
         "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder),
         "MCAP of a violation": (".seen.mcap", seen, folder), "db3": (".db3", bag, folder),
         "candump": (".log", log, folder), "ASC": (".asc", log, folder), "BLF": (".blf", log, folder), "TRC": (".trc", log, folder),
+        "candump on screen": (".screen.log", log, folder), "candump.gz": (".log.gz", log, folder), "db3.zstd": (".db3.zstd", bag, folder),
+        "played log": (".played.log", played, folder),
     }  # fmt: skip
     memory: dict[str, Callable[[bytes], object]] = {
         "joint_states JSON": decode, "joint_states CDR": decode, "reset": parse_reset, "state message": unpack,
-        "CAN frames": frames, "viewer": viewer,
+        "CAN frames": frames, "viewer": viewer, "hub": from_hub(), "RTDE": from_controller(), "latch": latch,
     }  # fmt: skip
     found = memory | {name: through_file(*how) for name, how in files.items()}
 
@@ -313,7 +420,7 @@ def main() -> int:
         "--seconds", type=float, default=math.inf, help="of processor time per parser, then it ends with fewer inputs"
     )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only")
+    parser.add_argument("--only", help="one parser")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     logging.disable()  # the libraries' own words on every damaged line
@@ -322,11 +429,10 @@ def main() -> int:
         folder = Path(place)
         seeds = good_inputs(folder)
         for name, parse in parsers(folder).items():
-            if args.only and args.only not in name:
+            if args.only and args.only != name:
                 continue
             begin = time.process_time()
-            in_memory = name in ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer")
-            n = args.inputs if in_memory else max(1, args.inputs // 100)
+            n = args.inputs if name in IN_MEMORY else max(1, args.inputs // 100)
             found[name] = dict(fuzz(name, parse, seeds[name], n, args.seed, args.seconds))
             print(
                 f"{name:<19} {sum(found[name].values()):8} inputs in {time.process_time() - begin:6.1f} s CPU: {found[name]}",

@@ -25,6 +25,7 @@ from stopset.offline.conform import monotone_sets as co
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Identification, Settings, identify
 from stopset.reach.nonlinear import nominal
+from stopset.recording import stream_recordings
 from stopset.sets import Box
 
 MODELS = ((1, 1), (2, 3), (2, 5), (3, 3), (3, 5))
@@ -60,7 +61,9 @@ def neglected(one: Identification, recording: str) -> list[tuple[float, float]]:
     """(half-width of U, `leak`) along the longest open-loop trial, up to `AHEAD`."""
     model: Model = one.model
     dt = model.powered.dt
-    _, r, u = max(inputs(model, [recording], one.survey, dt), key=lambda item: len(item[2]))
+    _, r, u = max(
+        inputs(model, lambda: stream_recordings([recording], model.robot), one.survey, dt), key=lambda item: len(item[2])
+    )
     last = min(len(u), round(AHEAD / dt))
     x0 = np.concatenate([r.q[0], r.dq[0]])
     wide = [(h, replace(model.powered, U=Box.symmetric(np.full(model.n, h)))) for h in TORQUES]

@@ -379,6 +379,20 @@ def test_replay_sends_what_drives_say_and_not_to_a_robot(tmp_path: Path, capsys:
     assert "cannot be opened" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("stamp", "word"), [("inf", "stamped inf"), ("nan", "stamped nan"), ("1e12", "such a pause")])
+def test_a_log_whose_time_stands_still_or_is_none_is_refused(stamp: str, word: str, tmp_path: Path) -> None:
+    """One damaged stamp, and the replay would be silent for ever, or end in an error of Python's own."""
+    path, tape = tmp_path / "bus.log", Tape()
+    lines = [
+        f"({t}) can0 {f.cob_id:03X}#{bytes(f.data).hex()}"
+        for t, f in zip(("1.5", stamp), recorded([motion(0, 5)]).frames, strict=False)
+    ]
+    path.write_text("\n".join(lines))
+    with pytest.raises(RecordingError, match=word):
+        play_log(path, tape.send, 1.0, PROFILE, lambda: 0.0, lambda seconds: None)
+    assert len(tape.frames) == 1
+
+
 def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     empty, odd = tmp_path / "a.log", tmp_path / "b.blf"
     empty.write_text("")

@@ -8,9 +8,18 @@ import re
 import shutil
 import stat
 import subprocess
+import sys
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+from monitor_arm import known_model, meta, motion, with_torque_scaled
+from monitor_process import environment
+from stopset.artifact import save_model
+from stopset.recording import write_recordings
 
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
 UNITS = ("stopset.service", "stopset-expiry.service")
@@ -19,6 +28,16 @@ EXPOSED = 2.0
 
 def sh(*words: object, **more: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False, env={**os.environ, **more})
+
+
+def image_builder() -> ModuleType:
+    """`.ci/image`, a script without a suffix."""
+    loader = SourceFileLoader("image_builder", str(DEPLOY.parent / ".ci/image"))
+    spec = spec_from_loader(loader.name, loader)
+    assert spec is not None
+    module = module_from_spec(spec)
+    loader.exec_module(module)
+    return module
 
 
 @pytest.fixture
@@ -49,25 +68,15 @@ def test_the_units_are_shut_in(units: Path, name: str) -> None:
     assert json.loads(done.stdout) and level is not None and float(level.group(1)) <= EXPOSED, said[-300:]
 
 
-def instructions(text: str) -> list[list[tuple[str, str]]]:
-    """A Dockerfile's stages as (instruction, words), read by its grammar: comments, continued lines."""
-    stages: list[list[tuple[str, str]]] = [[]]
-    for line in re.sub(r"\\\n", " ", re.sub(r"^\s*#.*\n", "", text, flags=re.MULTILINE)).splitlines():
-        word, _, rest = line.strip().partition(" ")
-        if word == "FROM":
-            stages.append([])
-        if word:
-            stages[-1].append((word, " ".join(rest.split())))
-    return stages
-
-
 def test_the_image_is_pinned_without_a_compiler_and_nobodys_root() -> None:
-    """Read by a parser: no image is built here."""
-    before, build, final = instructions((DEPLOY / "container/Dockerfile").read_text())
-    assert before == [("ARG", "BASE")], "a base without a default, so none without a digest"
+    """Read by a parser; built from the same commands by tests/test_image.py."""
+    text = (DEPLOY / "container/Dockerfile").read_text()
+    build, final = image_builder().stages(text)
+    assert re.search(r"^ARG BASE$", text.partition("FROM")[0], re.MULTILINE), "a base without a default, so none without a digest"
     assert build[0] == ("FROM", "${BASE} AS build") and final[0] == ("FROM", "${BASE}")
     installs = " ".join(rest for word, rest in build if word == "RUN")
-    assert "--require-hashes" in installs and "--no-deps --no-index" in installs and "cyclonedx-py" in installs
+    assert installs.count("pip install") == installs.count("--require-hashes") + installs.count("--no-deps --no-index") == 3
+    assert "cyclonedx-py" in installs
     shipped = " ".join(rest for word, rest in final if word == "RUN")
     assert not re.search(r"gcc|pip|apt-get|compiler", shipped)
     assert [rest for word, rest in final if word == "USER"] == ["10001"]
@@ -85,13 +94,27 @@ def test_the_image_is_pinned_without_a_compiler_and_nobodys_root() -> None:
         assert line in compose, line
 
 
-def test_every_package_of_the_image_has_a_hash() -> None:
-    lock = (DEPLOY / "container/requirements.lock").read_text()
+@pytest.mark.parametrize(
+    ("name", "holds"),
+    [
+        ("requirements", {"numpy", "eclipse-zenoh", "python-can", "canopen", "msgspec", "cryptography", "pyarrow"}),
+        ("build", {"hatchling", "cffi", "cyclonedx-bom"}),
+    ],
+)
+def test_every_package_of_the_image_has_a_hash(name: str, holds: set[str]) -> None:
+    lock = (DEPLOY / f"container/{name}.lock").read_text()
     entries = re.findall(r"^([a-z0-9][\w.-]*(?:\[[\w,]+\])?)==\S+((?: \\\n    --hash=sha256:[0-9a-f]{64})+)", lock, re.MULTILINE)
     assert len(entries) == len(re.findall(r"^\S+==", lock, re.MULTILINE)) > 10
-    names = {name.partition("[")[0] for name, _ in entries}
-    assert {"numpy", "eclipse-zenoh", "python-can", "canopen", "msgspec", "cryptography", "pyarrow"} <= names
-    assert "http" not in lock, "no place is named: whoever builds says where from"
+    assert holds <= {package.partition("[")[0] for package, _ in entries}
+    assert not re.search(r"http|^\s*--(?!hash)", lock, re.MULTILINE), "no place is named: whoever builds says where from"
+
+
+def test_the_build_is_sent_what_it_needs_and_no_more() -> None:
+    sent = image_builder().context()
+    tops = {file.split("/")[0] for file in sent}
+    assert tops == {"LICENSE", "README.md", "deploy", "fmu", "hatch_build.py", "model", "monitor", "offline", "pyproject.toml"}
+    assert {f for f in sent if f.startswith("deploy/")} == {f"deploy/container/{n}.lock" for n in ("requirements", "build")}
+    assert "model/stopset/core/c/stopset.h" in sent and not [f for f in sent if f.endswith((".so", ".pyc"))]
 
 
 @pytest.mark.parametrize(
@@ -146,3 +169,23 @@ def test_an_upgrade_that_is_not_healthy_goes_back(tmp_path: Path) -> None:
     assert sh(DEPLOY / "checks/upgrade.sh", good, **words).returncode == 0 and link.resolve() == good
     for wrong in (good, tmp_path / "nowhere"):
         assert sh(DEPLOY / "checks/upgrade.sh", wrong, **words).returncode == 2 and link.resolve() == good
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("torque", [1.0, 1.5])
+def test_the_smoke_check_passes_a_sound_cell_and_no_other(tmp_path: Path, torque: float) -> None:
+    """The shipped script: a real daemon, a bus on loopback, the daemon stopped for a while; an arm that left its model fails it."""
+    save_model(known_model(), tmp_path / "arm.model.json")
+    write_recordings(tmp_path / "rec.parquet", meta(), [with_torque_scaled(motion(s, 500, s), 2, torque) for s in range(2)])
+    program = tmp_path / "bin/stopset"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m stopset.cli.main "$@"\n')
+    program.chmod(0o755)
+    path = f"{program.parent}{os.pathsep}{os.environ['PATH']}"
+    done = sh(
+        DEPLOY / "checks/smoke.sh", tmp_path / "arm.model.json", tmp_path / "rec.parquet", **{**environment(), "PATH": path}
+    )
+    if torque == 1.0:
+        assert done.returncode == 0 and done.stdout.endswith("passed\n"), done.stdout + done.stderr
+    else:
+        assert done.returncode == 1 and "FAILED: " in done.stdout, done.stdout + done.stderr

@@ -52,14 +52,26 @@ def torques(n: int) -> np.ndarray:
     return 3.0 * (np.arange(n) + 1.0) * ((k // 10) % 5 - 2)
 
 
-def by_fmusim(fmu: Path, model: Model, request: int, watched: list[str], *options: str) -> list[dict[str, str]]:
-    """Its rows as it prints them."""
+def asked_rows(n: int, request: int) -> list[tuple[float, list[float], int]]:
+    """Time [s], torques [N m] and stop request from then on."""
+    return [(k * STEP, row, request if k >= ASKED else 0) for k, row in enumerate(torques(n).tolist())]
+
+
+def by_fmusim(
+    fmu: Path, model: Model, request: int, watched: list[str], *options: str, jumps: bool = False
+) -> list[dict[str, str]]:
+    """Its rows as it prints them; ``jumps``: inputs end in one row and begin in the next, which makes an event, else it draws lines
+    between them in model exchange."""
     given, got = fmu.with_suffix(".in.csv"), fmu.with_suffix(".out.csv")
     with given.open("w", newline="") as f:
         out = csv.writer(f)
         out.writerow(["time", *names(model, "tau"), "stop"])
-        for k, row in enumerate(torques(model.n)):
-            out.writerow([repr(k * STEP), *map(repr, row.tolist()), request if k >= ASKED else 0])
+        before: tuple[list[float], int] | None = None
+        for t, tau, stop in asked_rows(model.n, request):
+            if jumps and before is not None:
+                out.writerow([repr(t), *map(repr, before[0]), before[1]])
+            out.writerow([repr(t), *map(repr, tau), stop])
+            before = tau, stop
     wanted = [x for name in watched for x in ("--output-variable", name)]
     times = ["--stop-time", repr(STEPS * STEP), "--output-interval", repr(STEP)]
     files = ["--input-file", str(given), "--output-file", str(got)]

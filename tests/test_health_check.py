@@ -52,6 +52,9 @@ def test_green_only_for_a_daemon_that_watches(config: tuple[Path, int]) -> None:
     path, port = config
     words = ("replay", str(path.parent / "rec.parquet"), "--to", f"zenoh:tcp/127.0.0.1:{port}", "--key", "js", "--loop")
     with running("monitor", "--config", str(path)) as monitor, Ear(port) as ear:
+        assert ear.wait(lambda: ear.states[-1:] == [State.INIT])
+        code, reported = health(path)
+        assert code == 1 and "INIT" in reported, f"it has never heard its arm: {reported}"
         with running(*words):
             assert ear.wait(lambda: {State.OK, State.DEGRADED, State.UNKNOWN} & set(ear.states[-1:]))
             code, reported = health(path)

@@ -25,6 +25,7 @@ from patience import wait
 from stopset.artifact import Model, load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import RecordingError
+from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Records
 from stopset.monitor.evidence.cause import Kind
 from stopset.monitor.evidence.classify import AFTER, CREDIBLE, Case, Pushes, classify, late_torque
@@ -147,28 +148,35 @@ def test_every_fault_gets_its_class_from_real_processes(arm: tuple[Path, Model],
     with running("monitor", "--config", str(config)), Ear(port) as ear:
         assert ear.wait(lambda: hub.clients == 1)
 
+        health: list[dict[str, Any]] = []
+        ear.link.subscribe("health", lambda _, d: health.append(json.loads(d)))
+
         def idle() -> bool:
-            """Whether the monitor has done with all that was sent."""
-            samples = ear.twins[-1]["samples"]
-            time.sleep(0.5)
-            return bool(ear.twins[-1]["samples"] == samples)
+            """Whether the monitor has done with all that was sent, by its own count, or nothing of it comes any more."""
+            frames = [h["bus"].get("frames", 0) for h in health[-3:]]
+            return len(frames) == 3 and (frames[-1] >= sent or frames[0] == frames[-1])
 
         def cause_of(world: World) -> tuple[dict[str, Any], bool]:
             """What is told of a life, and whether its readings have reached the monitor in one piece."""
-            gaps, started = ear.twins[-1]["gaps"], time.time()
+            nonlocal sent
+            gaps, started = health[-1]["gaps"], time.time()
+            sent += len(world.frames)
             in_time = play(world, hub)
+            health.clear()
 
             def causes() -> list[dict[str, Any]]:
                 return [e["cause"] for e in list(ear.events) if e["kind"] == "bundle" and e["cause"]["t"] > started]
 
             assert ear.wait(causes) and ear.wait(idle), ear.events[-3:]
-            cause, whole = causes()[0], ear.twins[-1]["gaps"] <= gaps + 1
-            assert ear.twins[-1]["violation_class"] == cause["kind"], ear.events[-5:]
+            cause = causes()[0]
+            assert ear.wait(lambda: ear.twins[-1]["violation_class"] == cause["kind"]), (ear.twins[-1], ear.events[-5:])
+            whole = health[-1]["gaps"] <= gaps + 1
             ear.link.put("reset", b'{"name": "A. Person", "reason": "looked at"}')
             assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
             return cause, in_time and whole
 
-        assert ear.wait(lambda: ear.twins)
+        sent = 0
+        assert ear.wait(lambda: ear.twins and health)
         for n, kind in enumerate(KINDS):
             for _ in range(20):
                 world = World(1, *arm, SECONDS, Fault(kind, np.random.default_rng([1, n]), 100))
@@ -236,10 +244,18 @@ def test_readings_that_are_all_zero_are_no_readings() -> None:
 # ---- the file
 
 
-def record(folder: Path, model: Model, settings: Records, r: Any, words: tuple[bytes, ...] = ()) -> Recorder:
-    """A life without a thread, a bus or a clock: rows in, turns when they would be due."""
+def record(
+    folder: Path,
+    model: Model,
+    settings: Records,
+    r: Any,
+    words: tuple[bytes, ...] = (),
+    clock: Clock | None = None,
+    close: bool = True,
+) -> Recorder:
+    """A life without a thread or a bus: rows in, turns when they would be due."""
     recorder = Recorder(
-        Trace(6), settings, folder, DT, pause=lambda: None,
+        Trace(6), settings, folder, DT, pause=lambda: None, clock=clock or SystemClock(),
         about=lambda: {
             "joints": ",".join(model.joints), "effort": model.effort, "robot": "known arm", "cycle_s": repr(DT),
             "model_sha256": "ab", "config_sha256": "cd",
@@ -258,8 +274,49 @@ def record(folder: Path, model: Model, settings: Records, r: Any, words: tuple[b
             recorder.incident(new[0].first, s.t)
         if k % 10 == 0:
             recorder.turn()
-    recorder.close()
+        if clock is not None:
+            clock.sleep(DT)
+    if close:
+        recorder.close()
     return recorder
+
+
+class Slow:
+    """A machine on which a cycle of the arm takes ``times`` as long."""
+
+    def __init__(self, times: float) -> None:
+        self.times, self.now = times, 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def time_ns(self) -> int:
+        return EPOCH + round(self.now * 1e9)
+
+    def sleep(self, seconds: float) -> None:
+        self.now += self.times * seconds
+
+
+def test_readings_that_come_slowly_are_waited_for(tmp_path: Path) -> None:
+    """A machine without time for the monitor costs no class: 0.6 s of readings take 4.8 s to come."""
+    r = motion(0, 400)
+    altered = replace(r, tau=np.where((np.arange(400) >= 200)[:, None], 2.0 * r.tau, r.tau))
+    asked = [
+        record(tmp_path / str(times), known_model(horizon=0.1), Records(), altered, clock=Slow(times)).answers[0].cause
+        for times in (1.0, 8.0)
+    ]
+    assert asked[0].kind != Kind.UNCLASSED and asked[1] == asked[0]
+
+
+def test_readings_that_no_longer_come_are_not_waited_for(tmp_path: Path) -> None:
+    clock, r = Slow(1.0), motion(0, 220)
+    altered = replace(r, tau=np.where((np.arange(220) >= 200)[:, None], 2.0 * r.tau, r.tau))
+    recorder = record(tmp_path, known_model(horizon=0.1), Records(), altered, clock=clock, close=False)
+    for _ in range(40):
+        assert not recorder.answers or clock.now > 1.6 + 200 * DT
+        recorder.turn()
+        clock.sleep(0.05)
+    assert recorder.answers[0].cause.kind == Kind.UNCLASSED
 
 
 def topics(path: Path) -> dict[str, list[Any]]:

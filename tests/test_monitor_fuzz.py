@@ -19,7 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import monitor_fuzz
 
 MEMORY, FILES = 1500, 60
-SLOW = ("MCAP", "MCAP of a violation", "BLF", "EDS", "ASC", "TRC", "candump", "db3", "model", "model, right hash")
+SLOW = (
+    "MCAP", "MCAP of a violation", "BLF", "EDS", "ASC", "TRC", "candump", "candump on screen", "candump.gz", "played log", "db3", "db3.zstd",
+    "model", "model, right hash", "RTDE", "latch",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", [0])

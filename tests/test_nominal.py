@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import sosfiltfilt
+from scipy.signal import butter, lfilter, sosfiltfilt
 
 from nominal_cases import (
     F_C,
@@ -24,8 +24,9 @@ from nominal_cases import (
 )
 from stopset.errors import EffectError, ModelFileError, RecordingError
 from stopset.offline.nominal import Preprocessing, accumulate, identify_nominal, residuals, solve_nominal
+from stopset.offline.nominal.filters import ORDER, lag, low_pass
 from stopset.offline.nominal.physical import consistent, pseudo_inertia, solve_consistent
-from stopset.offline.nominal.preprocess import ORDER, motions
+from stopset.offline.nominal.preprocess import motions
 from stopset.recording import Meta, Recordings
 from stopset.robot.rigid import torques
 
@@ -424,6 +425,10 @@ def test_a_regressor_passes_scipys_filter_to_the_last_bit_and_lags_are_exact_for
     for shape in ((len(m.t),), (len(m.t), 6), (len(m.t), 6, 3)):
         x = np.cumsum(rng.normal(size=shape), axis=0)
         assert np.array_equal(m.smooth(x), sosfiltfilt(m.sos, x, axis=0, padtype="odd", padlen=min(len(x) - 1, 24 * ORDER)))
+    for relative in np.concatenate([rng.uniform(0.001, 0.2, 200), rng.uniform(0.001, 0.1, 200).round(9)]).tolist():
+        assert np.array_equal(low_pass(relative), butter(ORDER, 2 * relative, output="sos"))
+    noise = rng.normal(size=(300, 7))
+    assert np.array_equal(lag(0.93, noise), lfilter([1.0], [1.0, -0.93], noise, axis=0))
     z, lags = m.t / m.t[-1], np.array([-0.0307, -0.006, 0.0, 0.0042, 0.06])
     found = m.delayed(np.column_stack([z, z**3]), lags)
     late = z[m.retained][:, None] - lags / m.t[-1]

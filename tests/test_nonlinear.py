@@ -28,7 +28,7 @@ from stopset.offline.abstraction import (
 )
 from stopset.offline.abstraction.grid import Trial, coarser
 from stopset.offline.abstraction.metrics import Figures
-from stopset.offline.campaign import survey
+from stopset.offline.campaign import survey, trials
 from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.campaign.trials import Pairs
 from stopset.offline.compare.compare import compare
@@ -384,9 +384,10 @@ def test_the_abstraction_of_an_identified_arm() -> None:
         assert np.all(np.isfinite(rest))
 
 
-def test_comparing_holds_one_trial_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_comparing_holds_no_more_than_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Five times as many recordings take no more memory."""
     monkeypatch.setattr(survey, "KEEP", 4)
+    monkeypatch.setattr(trials, "MOST", 2**16)
     monkeypatch.setattr(reader, "BATCH_ROWS", 512)
     few, many = (
         save_trials(tmp_path / f"{count}.parquet", recordings((1.0, 0.5), (4.0, 2.0), 2, count, 1.5, bias=0.0), ("a", "b"),

@@ -13,7 +13,7 @@ from monitor_process import DATA_ID, Ear, free_port, running, write_config
 from stopset.artifact import save_model
 from stopset.artifact.signature import new_key
 from stopset.cli.main import main
-from stopset.monitor.config import ConfigError, Operator, load_config
+from stopset.monitor.config import Operator
 from stopset.monitor.layout import unpack
 from stopset.monitor.operators import LIVES, WRAP, Moment, Operators, signed
 from stopset.monitor.orders import Reset, parse_reset
@@ -82,17 +82,36 @@ def test_what_is_no_order_of_an_operator_is_refused(keys: Path, what: str, said:
     assert said in who.refused(order, seen)
 
 
+ONE = '[[operators]]\nname = "A"\nkey = "smith.pub"\n'
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('[[operators]]\nname = "A"\n', "lacks key"), ('[[operators]]\nname = ""\nkey = "k"\n', "1 to 200 letters"),
-        ('[[operators]]\nname = "A"\nkey = "k"\n[[operators]]\nname = "A"\nkey = "l"\n', "each once"),
+        ('[[operators]]\nname = "A"\n', "lacks key"), ('[[operators]]\nkey = "smith.pub"\n', "lacks name"),
+        ("[[operators]]\n", "lacks key, name"), (ONE + 'role = "boss"\n', "unknown key role"),
+        ('[operators]\nname = "A"\nkey = "smith.pub"\n', "each headed [[operators]]"), ('operators = "A"\n', "expected a list"),
+        ('operators = ["A"]\n', "expected a table"), ("operators = []\n", "operators is empty"),
+        (ONE.replace('"A"', '" "'), "1 to 200 letters"), (ONE.replace('"A"', f'"{"x" * 201}"'), "1 to 200 letters"),
+        (ONE.replace('"A"', '"A\\u001b[31m"'), "1 to 200 letters"), (ONE.replace('"A"', "3"), "expected str"),
+        (ONE + ONE.replace('"A"', '"A "').replace("smith", "stranger"), "each once"),
+        (ONE + ONE.replace('"A"', '"B"'), "have one key"), (ONE + ONE.replace('"A"', '"B"').replace("smith", "copy"), "have one key"),
+        (ONE.replace("smith", "nobody"), "no such file"), (ONE.replace("smith.pub", "smith"), "no public key"),
+        (ONE.replace("smith.pub", ""), "no public key"), (ONE.replace("smith.pub", "rubbish"), "no public key"),
+        (ONE.replace("smith.pub", "."), "no public key"), (ONE.replace('"smith.pub"', '["smith.pub"]'), "expected str"),
     ],
 )  # fmt: skip
-def test_operators_that_are_none_are_refused(tmp_path: Path, text: str, said: str) -> None:
-    (tmp_path / "c.toml").write_text(f'model = "m"\ndata_id = 1\n[bus]\nlink = "hub:1"\n{text}')
-    with pytest.raises(ConfigError, match=said):
-        load_config(tmp_path / "c.toml")
+def test_operators_that_are_none_are_refused(keys: Path, text: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the monitor itself, before it hears anything: one sentence, and 2."""
+    (keys / "copy.pub").write_bytes((keys / "smith.pub").read_bytes())
+    (keys / "rubbish").write_text("rubbish")
+    save_model(known_model(), keys / "m")
+    top, tables = (text, "") if text.startswith("operators") else ("", text)
+    config = keys / "c.toml"
+    config.write_text(f'model = "m"\ndata_id = 1\n{top}[bus]\nlink = "hub:1"\n{tables}[zenoh]\nlisten = []\n')
+    assert main(["monitor", "--config", str(config), "--seconds", "0.1"]) == 2
+    reported = capsys.readouterr().err.strip()
+    assert said in reported and "\n" not in reported and "Traceback" not in reported
 
 
 def test_a_real_monitor_is_cleared_by_a_key_alone(keys: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,7 +43,7 @@ def _export(model: Model, found: Comparison, args: argparse.Namespace) -> None:
     from stopset.offline.compare.scene import listed, scene
 
     label = args.recording or listed(found)[0]["label"]
-    drawn = scene(model, found, args.data, label)
+    drawn = scene(model, found, label)
     if drawn is None:
         some = ", ".join(r.label for r in found.rows[:3])
         raise RecordingError(f"no recording is called {label!r}; expected one of these, as {some}: give its label")

@@ -23,7 +23,9 @@ def run(args: argparse.Namespace) -> int:
     heard = config.bus.link if config.bus else config.joint_states.key if config.joint_states else ""
     if config.rtde:
         heard = f"the controller at {config.rtde.host}:{config.rtde.port}"
-    where = config.zenoh.file or ", ".join([*config.zenoh.listen, *config.zenoh.connect])
+    # a client listens nowhere, whatever stands in the configuration
+    listened = () if config.zenoh.mode == "client" else config.zenoh.listen
+    where = config.zenoh.file or ", ".join([*listened, *config.zenoh.connect])
     say(f"listening to {heard}, publishing {config.prefix}/** on {where}; stop with Ctrl-C")
     say(NOTICE)
     code, health = start(config, args.seconds)

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check", action="store_true",
         help="say what holds after --seconds (default 2) and end: exit code 0 for a fresh, valid message of a state that is "
-        "not FAULT, else 1; with --config, for a health check",
+        "not FAULT, INIT or SHUTDOWN, else 1; with --config, for a health check",
     )  # fmt: skip
     parser.add_argument("--host", default="127.0.0.1", help="address of the page (default: this machine only)")
     parser.add_argument("--port", type=int, default=8600, help="port of the page, 0 for none (default: %(default)s)")
@@ -128,14 +128,18 @@ def _hear_model(link: ZenohLink, view: View) -> None:
         time.sleep(0.5)
 
 
+# a daemon that has not heard its arm yet is not healthy: after a bad upgrade it would say that for ever
+NOT_WATCHING = ("NO DATA", "FAULT", "INIT", "SHUTDOWN")
+
+
 def _check(view: View, seconds: float) -> int:
     """Wait for a state that may be believed, at most ``seconds``; exit code."""
     import time
 
     end = time.monotonic() + seconds
     word, why = view.word()
-    while word in ("NO DATA", "FAULT") and time.monotonic() < end:
+    while word in NOT_WATCHING and time.monotonic() < end:
         time.sleep(0.02)
         word, why = view.word()
     say(f"{word}  {why}")
-    return int(word in ("NO DATA", "FAULT"))
+    return int(word in NOT_WATCHING)

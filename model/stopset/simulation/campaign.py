@@ -38,6 +38,17 @@ class Schedule:
     repeats: int = 5  # open-loop trials per suite
     stops: tuple[int, int] = (20, 5)  # regular, varied; of each category
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Recordings of each phase, of which nothing need be simulated to know."""
+        return {
+            "static": 2 * self.poses,
+            "closed_loop": 4 * self.closed_loop,
+            "open_loop": self.suites * self.repeats,
+            "stop0": sum(self.stops),
+            "stop1": sum(self.stops),
+        }
+
 
 SHORT = Schedule(poses=60, closed_loop=2, suites=4, stops=(8, 2))
 PLANS = {

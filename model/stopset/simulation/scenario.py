@@ -13,7 +13,7 @@ from stopset.errors import EffectError
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 from stopset.robot.arm import robot_of
-from stopset.simulation.campaign import PLANS, Schedule, make, schedule
+from stopset.simulation.campaign import PLANS, Schedule, make
 from stopset.simulation.cell import Cell, build_cell, wrong_cad
 from stopset.simulation.compensated import PHASES, compensated
 from stopset.simulation.hidden import BASE, Parameters, healthy, kinds, parse_hidden
@@ -44,7 +44,7 @@ class Scenario:
     @property
     def count(self) -> int:
         """Number of recordings."""
-        return sum(job.phase in PHASES or not self.compensated for job in schedule(self.cell, self.plan))
+        return sum(n for phase, n in self.plan.counts.items() if phase in PHASES or not self.compensated)
 
     def recordings(self) -> Iterator[Recording]:
         """Make the recordings one after the other, the same ones every time."""

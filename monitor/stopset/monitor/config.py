@@ -239,7 +239,8 @@ def _build(kind: Any, x: Any, where: str) -> Any:
             if not (isinstance(x, list) and len(x) == 2):
                 raise ConfigError(f"{where} is {x!r}; expected a number, or a list [least, most]")
         if not isinstance(x, list):
-            raise ConfigError(f"{where} is {x!r}; expected a list")
+            tables = f" of tables, each headed [[{where}]]" if dataclasses.is_dataclass(get_args(kind)[0]) else ""
+            raise ConfigError(f"{where} is {x!r}; expected a list{tables}")
         return tuple(_build(get_args(kind)[0], v, where) for v in x)
     if kind is float and isinstance(x, int) and not isinstance(x, bool):
         return float(x)
@@ -344,8 +345,13 @@ def load_config(path: str | Path) -> Config:
                 "not all zero, and metres"
             )
     names = [o.name.strip() for o in config.operators]
-    if any(not 1 <= len(n) <= 200 for n in names) or len(set(names)) != len(names):
+    if any(not 1 <= len(n) <= 200 or not n.isprintable() for n in names) or len(set(names)) != len(names):
         raise ConfigError(f"{p}: operators are named {names}; expected names of 1 to 200 letters, each once: mend them")
+    if raw.get("operators") == []:
+        # as good as none to the monitor; whoever wrote it may have meant that nobody clears
+        raise ConfigError(
+            f"{p}: operators is empty; expected one at least, or no such key, then whoever reaches `reset` clears: say which"
+        )
     for part in (config.site, config.cell, config.arm):
         if not part or any(c in part for c in "*/$#? "):
             raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")

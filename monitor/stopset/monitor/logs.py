@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,6 +21,7 @@ from stopset.recording import Meta, Recording
 
 __all__ = ["LOG_SUFFIXES", "log_meta", "log_suffix", "play_log", "said_by_drives", "trials_of_log"]
 SHORTEST = 10  # samples; a shorter run between two gaps is not a trial
+LONGEST_PAUSE = 3600.0  # [s] of the log without a frame that is played; a longer one is two logs in one file, or a damaged stamp
 
 
 def said_by_drives(profile: Profile) -> frozenset[int]:
@@ -31,20 +33,35 @@ def said_by_drives(profile: Profile) -> frozenset[int]:
     return frozenset({profile.sync_id, *frame_maps(profile), *(EMCY + n for n in nodes), *(HEARTBEAT + n for n in nodes)})
 
 
-def play_log(path: Path, send: Callable[[int, bytes], None], speed: float, profile: Profile) -> tuple[int, int]:
-    """Send what the drives of ``profile`` say in a log, at its times / ``speed``; returns how many frames, and how many not."""
+def play_log(
+    path: Path,
+    send: Callable[[int, bytes], None],
+    speed: float,
+    profile: Profile,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> tuple[int, int]:
+    """Send what the drives of ``profile`` say in a log, at its times / ``speed``; returns how many frames, and how many not.
+
+    Raises `RecordingError` for a log that cannot be read, or pauses for over `LONGEST_PAUSE`.
+    """
     start: tuple[float, float] | None = None
-    count, withheld, allowed = 0, 0, said_by_drives(profile)
+    count, withheld, allowed, before = 0, 0, said_by_drives(profile), math.inf
     for frame in read_log(path):
         if frame.cob_id not in allowed:
             withheld += 1
             continue
-        now = time.monotonic()
+        if frame.t - before > LONGEST_PAUSE:
+            raise RecordingError(
+                f"{path}: no frame for {frame.t - before:.4g} s of its time after {count} frames; expected one recording without such a "
+                "pause: cut the log there"
+            )
+        now, before = clock(), frame.t
         if start is None:
             start = (frame.t, now)
         wait = start[1] + (frame.t - start[0]) / speed - now
         if wait > 0:
-            time.sleep(wait)
+            sleep(wait)
         send(frame.cob_id, bytes(frame.data))
         count += 1
     return count, withheld

@@ -20,7 +20,7 @@ import msgspec
 
 from stopset.artifact.signature import key_id, public_key, secret_key
 from stopset.errors import BusError
-from stopset.monitor.config import Operator
+from stopset.monitor.config import ConfigError, Operator
 from stopset.monitor.layout import unpack
 from stopset.monitor.orders import Reset
 
@@ -81,9 +81,17 @@ class Operators:
 
     @classmethod
     def of(cls, people: Sequence[Operator]) -> Operators:
-        """The people of a configuration. Raises `SigningKeyError`."""
-        keys = [(p.name, public_key(p.key)) for p in people]
-        return cls({key_id(k): (name, k) for name, k in keys})
+        """The people of a configuration. Raises `SigningKeyError`, and `ConfigError` where two share a key."""
+        keys: dict[str, tuple[str, Any]] = {}
+        for p in people:
+            key = public_key(p.key)
+            other, _ = keys.setdefault(key_id(key), (p.name, key))
+            if other != p.name:
+                raise ConfigError(
+                    f"operators {other!r} and {p.name!r} have one key, {Path(p.key).name}; expected a key for each, for the log holds the "
+                    "name that belongs to it: make one with `stopset sign --new-key`"
+                )
+        return cls(keys)
 
     def refused(self, order: Reset, now: Moment) -> str:
         """Why this order does not clear the latch, empty if it does; ``now``: the message the monitor is at."""

@@ -74,13 +74,13 @@ void stopset_reload(StopsetState *s) {
     stopset_forget(s);
 }
 
-int stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
+void stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
     double left = s->tube_start + stopset_model.horizon - s->r[VR_TIME];
     const int over = s->b[IX_RESTART] && left < ahead + 1e-9 * stopset_model.dt;
-    if (!(over || s->reloaded) || !s->b[IX_MEASURED] || s->violated) return 0;
-    if (stopset_prepare(s, w)) return 0;
+    if (!(over || s->reloaded) || !s->b[IX_MEASURED] || s->violated) return;
+    if (stopset_prepare(s, w)) return;
     for (int i = 0; i < NJ; i++) {
-        if (!stopset_finite(s->r[VR_Q_MEASURED + i]) || !stopset_finite(s->r[VR_DQ_MEASURED + i])) return 0;
+        if (!stopset_finite(s->r[VR_Q_MEASURED + i]) || !stopset_finite(s->r[VR_DQ_MEASURED + i])) return;
     }
     for (int i = 0; i < NJ; i++) {
         s->r[VR_Q + i] = s->r[VR_Q_MEASURED + i];
@@ -90,7 +90,6 @@ int stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
     s->reloaded = 0;
     stopset_own_start(s, w);
     s->outputs_ready = 0;
-    return 1;
 }
 
 const char *stopset_trigger(StopsetState *s, StopsetWork *w) {

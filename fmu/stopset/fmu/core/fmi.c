@@ -395,17 +395,20 @@ Level stopset_update_discrete(Instance *c, int *states_changed, int *next_define
     *states_changed = *next_defined = 0;
     if (!c->co_simulation) {
         stopset_check(s, c->work);
-        *states_changed = s->stopping ? 0 : stopset_restart(s, c->work, 0.0);
+        if (!s->stopping) stopset_restart(s, c->work, 0.0);
     }
     const char *wrong = stopset_trigger(s, c->work);
     if (wrong) return stopset_fail(c, "updateDiscreteStates", wrong);
     if (c->co_simulation) return LEVEL_OK; /* samples are looked at where a step takes them, and steps find their own events */
     /* an importer finds the zero crossing of a velocity within its own tolerance */
-    if (stopset_update_modes(s, c->work, 1e-7)) *states_changed = 1;
+    stopset_update_modes(s, c->work, 1e-7);
+    /* at events the right side jumps: an importer that begins its solver anew only where states do would go on with the old one's history */
+    *states_changed = 1;
     s->outputs_ready = 0;
     /* the bounds were tested up to the horizon: the flag `covered` changes there */
     *next = s->tube_start + stopset_model.horizon;
-    if (s->stopping >= 2) *next = s->stop_start + stopset_ramp_changes(s, s->r[VR_TIME] - s->stop_start);
-    *next_defined = s->stopping != 1 && *next > s->r[VR_TIME] && stopset_finite(*next);
+    const double since = s->r[VR_TIME] - s->stop_start;
+    if (s->stopping) *next = s->stop_start + (s->stopping == 1 ? stopset_brakes_change(since) : stopset_ramp_changes(s, since));
+    *next_defined = *next > s->r[VR_TIME] && stopset_finite(*next);
     return LEVEL_OK;
 }

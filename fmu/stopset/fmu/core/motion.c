@@ -89,6 +89,16 @@ static void input_at(const StopsetState *s, StopsetWork *w, double t, const doub
     }
 }
 
+double stopset_brakes_change(double since) {
+    double next = HUGE_VAL;
+    for (int i = 0; i < NJ; i++) {
+        const double at[2] = {stopset_model.brake_delay[i], stopset_model.brake_delay[i] + stopset_model.brake_rise[i]};
+        for (int k = 0; k < 2; k++)
+            if (at[k] > since + 1e-12 && at[k] < next) next = at[k];
+    }
+    return next;
+}
+
 /* u at the measured state, as identification and monitor have it. */
 void stopset_input(const StopsetState *s, StopsetWork *w, double u[NJ]) {
     const StopsetSamples at = sample_of(s, w, s->r[VR_TIME], &s->r[VR_Q_MEASURED], &s->r[VR_DQ_MEASURED], &s->r[VR_MEMORY]);
@@ -385,20 +395,15 @@ void stopset_accelerations(const StopsetState *s, StopsetWork *w, double ddq[NJ]
     accelerate(s, w, mode, net, ddq);
 }
 
-int stopset_update_modes(StopsetState *s, StopsetWork *w, double slack) {
+void stopset_update_modes(StopsetState *s, StopsetWork *w, double slack) {
     const double t = s->r[VR_TIME];
     double y[NY];
-    int changed = 0;
     for (int i = 0; i < NJ; i++) s->mode[i] = 1;
-    if (!directional(s) || stopset_exact(s)) return 0;
+    if (!directional(s) || stopset_exact(s)) return;
     take(s, y);
     for (int i = 0; i < NJ; i++)
-        if (fabs(y[NJ + i]) <= slack && y[NJ + i] != 0.0) {
-            y[NJ + i] = s->r[VR_DQ + i] = 0.0;
-            changed = 1;
-        }
+        if (fabs(y[NJ + i]) <= slack) y[NJ + i] = s->r[VR_DQ + i] = 0.0;
     settle(s, w, t, y, s->mode);
-    return changed;
 }
 
 /* Positive while the friction directions hold: speed of a sliding joint, margin of a sticking one [N m]. */

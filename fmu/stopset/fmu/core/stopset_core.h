@@ -186,7 +186,7 @@ void stopset_outputs(StopsetState *s, StopsetWork *w);
 /* Hold the measured inputs against the tube of the present time; latches a violation. */
 void stopset_check(StopsetState *s, StopsetWork *w);
 /* New prediction from the measured state if the horizon ends before `ahead` [s] more and `restart` asks for it. */
-int stopset_restart(StopsetState *s, StopsetWork *w, double ahead);
+void stopset_restart(StopsetState *s, StopsetWork *w, double ahead);
 
 /* prepare.c: what follows from the parameters of s, made anew where they are others; 0 or a sentence. Nothing else has pointers. */
 const char *stopset_prepare(const StopsetState *s, StopsetWork *w);
@@ -210,8 +210,9 @@ void stopset_own_bounds(const StopsetState *s, StopsetWork *w, double lo[NX], do
 int stopset_exact(const StopsetState *s); /* whether the next step has a closed form */
 void stopset_input(const StopsetState *s, StopsetWork *w, double u[NJ]);
 void stopset_memory_step(StopsetState *s, StopsetWork *w, double h); /* at the measured state, held */
-/* Friction directions anew; velocities that came to rest within `slack` [rad/s] become zero; whether one changed. */
-int stopset_update_modes(StopsetState *s, StopsetWork *w, double slack);
+/* Friction directions anew; velocities that came to rest within `slack` [rad/s] become zero. */
+void stopset_update_modes(StopsetState *s, StopsetWork *w, double slack);
+double stopset_brakes_change(double since); /* [s] after power off at which a brake's torque begins or ends to rise next (infinite: never) */
 void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]);
 const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double *done);
 /* Rates of change at the present state: accelerations [rad/s^2], and of what the effects remember (N_MEMORY of them). */

@@ -318,6 +318,13 @@ STOPSET_API int stopset_widen_decoupled(const StopsetEnvelope *envelope, int n, 
 STOPSET_API int stopset_widen_coupled(const StopsetEnvelope *envelope, int n, const double *Ad, int k, const double *across, int64_t N,
                                       const double *residual, int64_t starts, double *work);
 
+/* ---- filter.c: what recordings pass before a regression */
+
+/* x (N, columns) [any] in place, columns side by side, through `sections` of second order: sos (sections, 6) [1] numerator and denominator
+ * of each, the denominator's first 1; state (sections, 2, columns), with which the filter begins and ends.
+ * Source: Oppenheim & Schafer, Discrete-Time Signal Processing (transposed direct form II). */
+STOPSET_API void stopset_filter(int64_t N, int64_t columns, int sections, const double *sos, double *state, double *x);
+
 /* ---- linear.c: the linear model's exact step and its reachable set */
 
 /* Ad (2n, 2n), Bd (2n, n): a step of h [s] of q' = v, v' = Av v + Minv u, (n, n) each, the input held. */

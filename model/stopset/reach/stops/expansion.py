@@ -5,9 +5,7 @@ exact, from the composite body behind joint k turning about axis k.  So are the 
 ones are bounded near the pose by the roots of inertia of what moves (Lemma 4 of docs/stops.md).  Over all poses Bernstein's inequality
 bounds second derivatives by the size of the part that moves: with ``m = max(i, j, k, l)`` only the composite body behind joint ``m``
 enters ``d2 M_ij / dq_k dq_l``, through its inertia and its first moment times the distances to joints i and j.  The sizes
-are triangle-inequality bounds over all poses, good for any parameters, physically consistent or not.  Gravity's derivatives
-are those of the potential ``-g . sum m r``: turning about joint m moves only what lies beside its axis, and turning the
-whole arm about its first axis turns gravity, of which nothing happens to the part along that axis.
+are triangle-inequality bounds over all poses, good for any parameters, physically consistent or not.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 2; Bernstein's inequality as in Zygmund,
 Trigonometric Series, ch. X.
@@ -20,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stopset.core.library import check, given, lib, view
+from stopset.reach.stops.gravity import gravity_curvature
 from stopset.robot.rigid import Chain, arm_struct
 from stopset.types import Array
 
@@ -52,7 +51,7 @@ class Expansion(NamedTuple):
 
 
 def curvature(chain: Chain, pi: Array) -> Curvature:
-    """`Curvature` of an arm with parameters bounded by ``|pi|`` (n, 10)."""
+    """`Curvature` of an arm with parameters ``pi`` (n, 10)."""
     n = pi.shape[0]
     size = np.abs(pi)
     mass, moment, inertia = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
@@ -73,47 +72,8 @@ def curvature(chain: Chain, pi: Array) -> Curvature:
     # turning the whole arm, or all of it from joint min(i, j) on, changes no inertia M_ij
     KM[np.broadcast_to(np.minimum(c, d) <= np.minimum(a, b), KM.shape)] = 0.0
     KG = 0.5 * (KM + KM.transpose(0, 2, 1, 3) + KM.transpose(2, 0, 1, 3))
-    Kg, load = _gravity_bounds(chain, size, mass, moment)
+    Kg, load = gravity_curvature(chain, pi)
     return Curvature(KM, Kg, KG, inertia[:n].copy(), load)
-
-
-def gravity_curvature(chain: Chain, pi: Array) -> tuple[Array, Array]:
-    """`Curvature.g` (n, n, n) and `Curvature.load` (n,) alone."""
-    n, size = pi.shape[0], np.abs(pi)
-    mass, moment = np.zeros(n + 1), np.zeros(n + 1)
-    for i in range(n - 1, -1, -1):
-        p = float(np.linalg.norm(chain.p[i + 1])) if i + 1 < n else 0.0
-        mass[i] = size[i, 0] + mass[i + 1]
-        moment[i] = np.linalg.norm(size[i, 1:4]) + moment[i + 1] + mass[i + 1] * p
-    return _gravity_bounds(chain, size, mass, moment)
-
-
-def _gravity_bounds(chain: Chain, size: Array, mass: Array, moment: Array) -> tuple[Array, Array]:
-    """Of gravity from the ``mass`` and first ``moment`` (n + 1,) of all that comes behind each joint."""
-    n = size.shape[0]
-    weight = float(np.linalg.norm(chain.gravity))
-    turned = float(np.linalg.norm(np.cross(chain.R[0] @ chain.axis[0], chain.gravity)))  # 0 where the first axis is vertical
-    beside = np.array([_beside(chain, size, i, mass[i + 1]) + moment[i + 1] for i in range(n)])
-    i, k, m = np.ogrid[:n, :n, :n]
-    Kg = np.where(np.minimum(i, np.minimum(k, m)) > 0, weight, turned) * beside[np.maximum(i, np.maximum(k, m))]
-    load = weight * beside
-    load[0] = turned * beside[0]
-    return Kg, load
-
-
-def _beside(chain: Chain, size: Array, i: int, carried: float) -> float:
-    """First moment [kg m] beside axis i of link i and of ``carried`` kg at the next joint, at most; ``size`` bounds ``|pi|``."""
-    a0, a1, a2 = np.abs(chain.axis[i])
-
-    def away(x: Array) -> float:
-        x0, x1, x2 = np.abs(x)
-        return float(np.linalg.norm([a1 * x2 + a2 * x1, a2 * x0 + a0 * x2, a0 * x1 + a1 * x0]))
-
-    own = min(away(size[i, 1:4]), float(np.linalg.norm(size[i, 1:4])))
-    if i + 1 == len(size):
-        return own
-    p = chain.p[i + 1]
-    return own + carried * min(away(p), float(np.linalg.norm(p)))
 
 
 def expand(chain: Chain, pi: Array, pi_half: Array, rotor: Array, q: Array) -> Expansion:

@@ -34,7 +34,8 @@ from stopset.effects.bound import ACTING, misread, uncovered
 from stopset.effects.signals import tilt_directions
 from stopset.errors import EffectError, NotCovered
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.expansion import Curvature, curvature, gravity_curvature
+from stopset.reach.stops.expansion import Curvature, curvature
+from stopset.reach.stops.gravity import gravity_curvature
 from stopset.reach.stops.laws import ActingLaw, acting_law
 from stopset.reach.stops.payload import bodies, effect_of, largest_gravity, weighed
 from stopset.ring import Interval

@@ -28,7 +28,8 @@ AT_ONCE = 8  # messages written before the loop may have the interpreter
 @dataclass(slots=True)
 class Incident:
     """A sample outside its prediction: ``row`` of the trace, the worst deviation, its stamp ``t`` [s], when it was ``noticed``
-    [s, monotonic], whether it was ``tried`` to write it, and the file it was written to already."""
+    [s, monotonic], whether it was ``tried`` to write it, and the file it was written to already; ``head`` of the trace as it was last
+    seen, and when that ``came`` [s, monotonic]."""
 
     row: int
     first: Deviation
@@ -36,6 +37,8 @@ class Incident:
     noticed: float
     tried: bool = False
     written: Path | None = None
+    head: int = -1
+    came: float = float("-inf")
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from stopset.monitor.sample import Quantum, Sample
     from stopset.monitor.verdict import Deviation, Verdict
 
-PATIENCE = 1.0  # [s] beyond `AFTER` in which the readings after a contradiction must have come
+SILENCE = AFTER + 1.0  # [s] without a reading after which no more are waited for
+PATIENCE = 30.0  # [s] in which the readings after a contradiction must have come, however slowly
 SWITCH = 5e-4  # [s] the loop waits at most for the interpreter while the recorder computes
 WAITING = 8  # incidents and words that may wait; more are dropped, counted
 SAID = frozenset({"event", "health", "state/json"})
@@ -137,13 +138,23 @@ class Recorder:
             self._look()
         while self._incidents:
             incident = self._incidents[0]
-            due = self.trace.head - incident.row > round(AFTER / self.cycle_s)
-            due = due or last or self.clock.monotonic() - incident.noticed > AFTER + PATIENCE
+            due = last or self._whole(incident)
             if due or not incident.tried:
                 self._write(incident, whole=due)
             if not due:
                 break
             self._incidents.popleft()
+
+    def _whole(self, incident: Incident) -> bool:
+        """Whether all readings that its class needs are there, or no more are to be expected.
+
+        A machine that has no time for us gives them late: as long as they come they are waited for.
+        """
+        now, head = self.clock.monotonic(), self.trace.head
+        if head != incident.head:
+            incident.head, incident.came = head, now
+        enough = head - incident.row > round(AFTER / self.cycle_s)
+        return enough or now - incident.came > SILENCE or now - incident.noticed > PATIENCE
 
     def _look(self) -> None:
         """Whether what was read of late is plausible, and where the arm is."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,16 +32,23 @@ def read_log(path: str | Path) -> Iterator[Frame]:
     if suffix not in LOG_SUFFIXES:
         raise RecordingError(f"{p}: expected a log named .log (candump), .asc, .blf or .trc, perhaps .gz")
     try:
-        if suffix == ".log" and (screen := _screen_lines(p)) is not None:
-            yield from screen
-            return
-        with can.LogReader(str(p), **({"relative_timestamp": False} if suffix == ".asc" else {})) as reader:
-            for m in reader:
-                if not (m.is_extended_id or m.is_remote_frame or m.is_error_frame):
-                    yield Frame(m.arbitration_id, m.data, m.timestamp)
+        for frame in _frames(p, suffix):
+            if not math.isfinite(frame.t):
+                raise ValueError(f"frame {frame.cob_id:03X} is stamped {frame.t}")
+            yield frame
     except Exception as e:
         why = f"{type(e).__name__}: {str(e)[:200]}"
         raise RecordingError(f"{p} is not a readable {suffix} log ({why}); export it again") from e
+
+
+def _frames(p: Path, suffix: str) -> Iterator[Frame]:
+    if suffix == ".log" and (screen := _screen_lines(p)) is not None:
+        yield from screen
+        return
+    with can.LogReader(str(p), **({"relative_timestamp": False} if suffix == ".asc" else {})) as reader:
+        for m in reader:
+            if not (m.is_extended_id or m.is_remote_frame or m.is_error_frame):
+                yield Frame(m.arbitration_id, m.data, m.timestamp)
 
 
 # what candump shows on the screen: "(1436509052.249713)  can0  123   [2]  11 22"; stamps with -t a only

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from stopset.offline.brakes.bands import WIDEN, WIDENINGS, farther, hull
 from stopset.offline.brakes.judge import judge_stop1, pace_before
@@ -99,6 +98,8 @@ def fit_all(kind: str, stops: Sequence[Recording]) -> list[RampFit]:
 
 def _fit_one(kind: str, r: Recording, usual: tuple[float, float] | None = None) -> RampFit:
     """The ramp of one stop; ``usual``: mean and standard deviation [s] of the time at which ramps start."""
+    from scipy.optimize import least_squares  # half a second, not for who only reads models
+
     t, v, v0 = _motion(r)
     area = float(np.sum(np.abs(v)) * np.mean(np.diff(t))) / max(float(np.sum(np.abs(v0))), 1e-9)
     guess = max(2.0 * area, 0.02) if kind == "time" else float(np.max(np.abs(v0))) / max(2.0 * area, 0.02)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from stopset.notebook import shown
 from stopset.offline.abstraction.metrics import Figures, torque_error
 from stopset.offline.abstraction.nominal_part import roller
 from stopset.offline.campaign.survey import Survey, on_grid, survey
+from stopset.offline.campaign.trials import ReadOnce, Source
 from stopset.offline.compare.known import left_over
 from stopset.offline.compare.restored import restored
 from stopset.offline.conform.envelope import Deviations, Envelope, state_names
@@ -67,6 +69,7 @@ class Comparison:
     figures: dict[str, dict[str, Any]]
     rows: tuple[Row, ...]
     survey: Survey
+    trials: Source = field(repr=False)  # that were compared, for whoever looks at them again
     tube: DeviationTube
     tightness: Tightness
     bands: dict[str, tuple[int, int]] = field(default_factory=dict)  # temperature band -> recordings in it, those that leave it
@@ -86,11 +89,11 @@ class Comparison:
         return shown("Model and measurements, RMS", said, head, [(j, *(row[k] for k in keys)) for j, row in self.figures.items()])
 
 
-def inputs(model: Model, paths: Sequence[str | Path], found: Survey, dt: float) -> Iterator[tuple[int, Recording, Array]]:
+def inputs(model: Model, trials: Source, found: Survey, dt: float) -> Iterator[tuple[int, Recording, Array]]:
     """Trials of the surveyed phase on the model's grid with their input ``u``, as (motion, trial, u)."""
     # a nonlinear model's sets live on a coarser grid; its inputs are means over the steps
     every = _every(model, found, dt)
-    for r in _on_grid(paths, model, found, dt / every):
+    for r in _on_grid(trials, found, dt / every):
         u = model.input(r.q, r.dq, r.tau, r.temp, found.warm(r), r.t)
         g, u = (r, u) if every == 1 else thinned(r, u, every)
         yield found.motion[r.suite_key], g, u
@@ -100,29 +103,30 @@ def _every(model: Model, found: Survey, dt: float) -> int:
     return 1 if model.abstraction.linear else max(1, round(dt / found.dt))
 
 
-def _on_grid(paths: Sequence[str | Path], model: Model, found: Survey, dt: float) -> Iterator[Recording]:
-    for r in stream_recordings(paths, model.robot):
+def _on_grid(trials: Source, found: Survey, dt: float) -> Iterator[Recording]:
+    for r in trials():
         if r.phase == found.phase and len(r.t) >= 3 and len((g := on_grid(r, dt)).t) >= 3:
             yield g
 
 
 def compare(model: Model, paths: Sequence[str | Path], progress: Progress = silent) -> Comparison:
-    """Hold the recordings against the model over all window starts and ages; one trial in memory at a time.
+    """Hold the recordings against the model over all window starts and ages; in memory what `ReadOnce` remembers.
 
     ``progress`` is given every trial, and how many leave the sets so far.
 
     Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
     """
     check_effort(model, paths)
-    found = survey(lambda: stream_recordings(paths, model.robot))
+    trials = ReadOnce(partial(stream_recordings, tuple(paths), model.robot))
+    found = survey(trials)
     dt = model.powered.dt
-    judge = _Linear(model) if model.abstraction.linear else _Along(model, _stride(model, paths, found))
+    judge = _Linear(model) if model.abstraction.linear else _Along(model, _stride(model, trials, found))
     figures = Figures(model.abstraction, dt, roller(model, model.effort, found) if model.abstraction.linear else None)
     rows: list[Row] = []
     left, out = list[Array](), 0
     # a torque that was smoothed before it was recorded is held against the model smoothed alike
     cutoff = 0.0 if model.effort == "compensated_torque" else recorded_low_pass(model.robot, found.sample)
-    for motion, r, u in inputs(model, paths, found, dt):
+    for motion, r, u in inputs(model, trials, found, dt):
         share = min(1.0, len(rows) / max(found.trials, 1))
         progress(f"{len(rows)} of {found.trials} trials compared, {out} leave the sets so far", share)
         figures.add(r, u)
@@ -137,7 +141,7 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
     known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
     for k, j in enumerate(model.joints):
         by_joint[j]["torque_rmse_known"] = None if known is None else float(known[k])
-    return Comparison(by_joint, tuple(rows), found, judge.tube, judge.tightness(), judge.bands)
+    return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands)
 
 
 def _known(model: Model, r: Recording, u: Array, cutoff: float) -> list[Array]:
@@ -213,11 +217,11 @@ class _Along:
         return DeviationTube(np.asarray(sets.dt * np.arange(last + 1)), lo - path, hi - path)
 
 
-def _stride(model: Model, paths: Sequence[str | Path], found: Survey) -> int:
+def _stride(model: Model, trials: Source, found: Survey) -> int:
     """Distance of window starts, in steps of a nonlinear model's grid, over all trials of the surveyed phase."""
     every = _every(model, found, model.powered.dt)
-    trials = _on_grid(paths, model, found, model.powered.dt / every)
-    return stride_of(sum((len(r.t) - 1) // every for r in trials), WINDOWS)
+    lengths = (len(r.t) for r in _on_grid(trials, found, model.powered.dt / every))
+    return stride_of(sum((n - 1) // every for n in lengths), WINDOWS)
 
 
 def check_effort(model: Model, paths: Sequence[str | Path]) -> None:

@@ -30,12 +30,12 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
     """The report of ``stopset compare``; ``shares``: what the error depends on, where that is known already."""
     out = Page(f"{model.robot.name}: model and measurements", model, paths)
     said = verdict(found)
-    drawn = chosen(model, found, paths)
+    drawn = chosen(model, found)
     out.verdict(said.text, said.kind)
     out.next(said.next)
     left(out, model, drawn)
     _errors(out, model, found)
-    _heat_map(out, model, shares or explained(model, inputs(model, paths, found.survey, model.powered.dt), found.survey))
+    _heat_map(out, model, shares or explained(model, inputs(model, found.trials, found.survey, model.powered.dt), found.survey))
     tubes(out, model, drawn)
     guarantee(out, model)
     with out.fold("Identified sets (the paper's Table II)"):

@@ -5,9 +5,7 @@ A recording is held whole, so that any stretch of it can be shown as fine as the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -78,10 +76,10 @@ class Scene:
         return {"band_t": self.t[a + at].round(4).tolist(), "lo": low.tolist(), "hi": high.tolist()}
 
 
-def scene(model: Model, found: Comparison, paths: Sequence[str | Path], label: str) -> Scene | None:
+def scene(model: Model, found: Comparison, label: str) -> Scene | None:
     """The recording ``label`` under ``model``; None where there is none of that name."""
     row = next((r for r in found.rows if r.label == label), None)
-    pairs = inputs(model, paths, found.survey, model.powered.dt)
+    pairs = inputs(model, found.trials, found.survey, model.powered.dt)
     trial = next(((r, u) for _, r, u in pairs if r.label == label), None) if row is not None else None
     if row is None or trial is None:
         return None

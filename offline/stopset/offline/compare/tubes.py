@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
@@ -37,7 +35,7 @@ class Drawn:
     violations: list[tuple[Violation, Recording, Array]]
 
 
-def chosen(model: Model, found: Comparison, paths: Sequence[str | Path]) -> Drawn:
+def chosen(model: Model, found: Comparison) -> Drawn:
     """The longest suites of each motion, at most `SUITES`, at most `TRIALS` trials each; in one pass with the worst violations."""
     longest: dict[SuiteKey, int] = {}
     for r in found.survey.sample:
@@ -50,7 +48,7 @@ def chosen(model: Model, found: Comparison, paths: Sequence[str | Path]) -> Draw
     }
     worst = {v.recording: v for v in sorted(found.violations, key=lambda v: -v.relative)[:VIOLATIONS]}
     seen = []
-    for _, r, u in inputs(model, paths, found.survey, model.powered.dt):
+    for _, r, u in inputs(model, found.trials, found.survey, model.powered.dt):
         if r.suite_key in out and len(out[r.suite_key]) < TRIALS:
             out[r.suite_key].append((r, u))
         if r.label in worst:

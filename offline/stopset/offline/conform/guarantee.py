@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import gammaln
-from scipy.stats import beta
+from scipy.special import betaincinv, gammaln
 
 from stopset.artifact import Guarantee
 from stopset.offline.campaign.calibration import FEWEST_MOTIONS
@@ -34,7 +33,7 @@ def clopper_pearson(violated: int, tried: int, confidence: float = CONFIDENCE) -
     """
     if violated >= tried:
         return 1.0
-    return float(beta.ppf(confidence, violated + 1, tried - violated))
+    return float(betaincinv(violated + 1, tried - violated, confidence))
 
 
 def scenario_bound(support: int, scenarios: int, confidence: float = CONFIDENCE) -> float | None:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from stopset.errors import NotConformant
 from stopset.offline.abstraction.metrics import STOP_TIME
@@ -143,6 +142,8 @@ def solved(c: Array, A: Array, b: Array, limits: Sequence[tuple[float | None, fl
 
     Raises `NotConformant`, in our words, when none is found.
     """
+    from scipy.optimize import linprog  # half a second, not for who only looks at sets
+
     status = 4
     if np.isfinite(A).all() and np.isfinite(b).all() and np.isfinite(c).all():
         result = linprog(c, A_ub=A, b_ub=b, bounds=limits, method="highs-ds")

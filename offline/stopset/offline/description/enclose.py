@@ -11,8 +11,6 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError
 
 from stopset.types import Array
 
@@ -25,6 +23,8 @@ def capsule_around(points: Array) -> Array:
 
     Its volume is made small from three starts, the principal axes of the points.
     """
+    from scipy.optimize import minimize  # half a second, for the few descriptions that have meshes
+
     rough = _corners(points)
     middle = rough.mean(axis=0)
     _, _, axes = np.linalg.svd(rough - middle)
@@ -62,6 +62,8 @@ def _volume(ends: Array, points: Array) -> float:
 
 def _corners(points: Array) -> Array:
     """The points that their hull hangs on; all of them where they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         return np.asarray(points[ConvexHull(points).vertices])
     except (QhullError, ValueError):

@@ -44,6 +44,7 @@ from stopset.offline.diagnose.search import refine, ripple, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
+    filters,
     fit,
     floor,
     friction,
@@ -63,7 +64,7 @@ from stopset.offline.nominal import (
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
-from stopset.reach.stops import bounds, brakes, failed, ramp, split, tube, tubes, windows
+from stopset.reach.stops import bounds, brakes, failed, gravity, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import reader
 from stopset.ring import interval
@@ -87,7 +88,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
         "OVERLAP FEWEST NOISES ALIKE VARIES SEAM FEWEST_JOINTS SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION MOVING",
     ),
     ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
-    ("preprocessing", preprocess, "ORDER IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE SEAM RINGING"),
+    ("preprocessing", filters, "ORDER"),
+    ("preprocessing", preprocess, "IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE SEAM RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("recorded low-pass", low_pass, "QUIET CUTOFFS FINER KNOWN FILTER_LOWERS SECONDS PIECE TELLING_ROWS RELATIVE"),
     ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
@@ -144,6 +146,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
     ("stop ramp", ramp, "KNOTS POINTS STILL"),
+    ("stop gravity", gravity, "GRID OUTWARD"),
     ("stop tube", tube, "PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
     ("stop tubes", tubes, "KNOTS ENERGY_KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
     ("stop windows", windows, "WIDTH TINY"),

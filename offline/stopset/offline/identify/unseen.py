@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from stopset.effects.base import Fitted
 from stopset.errors import NotConformant, RecordingError
@@ -81,7 +81,7 @@ def factor_expected(reach: Array) -> float:
         return float(max(1.0, np.sort(reach)[rank - 1]))
     freedom = count - 1.0 + FREEDOM
     scatter = np.sqrt(((count - 1.0) * x.var(ddof=1) + FREEDOM * USUAL**2) / freedom)
-    most = x.mean() + student.ppf(1.0 - RISK, freedom) * scatter * np.sqrt(1.0 + 1.0 / count)
+    most = x.mean() + stdtrit(freedom, 1.0 - RISK) * scatter * np.sqrt(1.0 + 1.0 / count)
     return float(max(1.0, reach.max(), np.exp(most)))
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from stopset.offline.nominal.floor import Floor
 from stopset.offline.nominal.friction import ParameterLimits, passivity, ranges, worst
@@ -321,7 +320,7 @@ def leave_out(data: NormalEquations, moving: Array, still: Array, prior: Prior, 
     m = len(groups)
     freedom = _freedom((felt**2).sum(axis=2))
     both = freedom + ASSUMED_FREEDOM
-    wider = student.ppf(COVERED, both) / norm.ppf(COVERED)
+    wider = stdtrit(both, COVERED) / ndtri(COVERED)
     seen = np.sqrt(freedom / both) * wider * (np.array(thetas) - np.mean(thetas, axis=0))
     assumed *= (np.sqrt(ASSUMED_FREEDOM / both) * wider)[:, None]
     return np.sqrt(squares / np.maximum(rows, 1)), full.covariance + (m - 1) / m * seen.T @ seen + assumed @ assumed.T

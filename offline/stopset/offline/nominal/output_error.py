@@ -12,10 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from stopset.effects.base import Fitted, Signals
+from stopset.offline.nominal.filters import lag
 from stopset.offline.nominal.open_loop import DIRECTION_WIDTH, EffectTerm, JointBatch, roll_out
 from stopset.types import Array
 
@@ -66,6 +65,8 @@ def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), d
 
 def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
     """``log J, log v, offset`` without effects: linear filters over the whole batch; ``described``: inertia expected [kg m^2]."""
+    from scipy.optimize import least_squares  # half a second, not for who only simulates
+
     misfit = _lag_misfit(batch)
     if described is not None:
         expected = np.array([np.log(described), np.log(described / USUAL_TIME), 0.0])
@@ -82,13 +83,13 @@ def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
     return np.asarray(least_squares(misfit, min(near, key=lambda p: float(np.sum(misfit(p) ** 2))), method="lm").x)
 
 
-def start(batch: JointBatch, terms: Sequence[EffectTerm], lag: Array, *, lag_known: bool = False) -> Array:
-    """Where the fit with ``terms`` begins: the ``lag`` found without them, or what the measured motion tells, whichever simulates better.
+def start(batch: JointBatch, terms: Sequence[EffectTerm], plain: Array, *, lag_known: bool = False) -> Array:
+    """Where the fit with ``terms`` begins: the ``plain`` lag found without them, or what the measured motion tells, whichever simulates better.
 
     A lag found without a strong effect has taken up what it could of it, and from there the fit may end with no inertia at all.
     """
-    lag = np.concatenate([np.clip(lag[:2], -FAR, FAR), lag[2:]])
-    p = np.concatenate([lag, *(np.array(t.given or np.zeros(len(t.effect.terms))) for t in terms)])
+    bounded = (np.clip(plain[:2], -FAR, FAR), plain[2:])
+    p = np.concatenate([*bounded, *(np.array(t.given or np.zeros(len(t.effect.terms))) for t in terms)])
     other = None if lag_known else _along_the_measurement(batch, terms)
     starts = [p] if other is None else [p, other]
     return min(starts, key=lambda x: float(np.sum(residuals(batch, terms, x, with_jacobian=False)[0] ** 2)))
@@ -135,7 +136,7 @@ def _lag_misfit(batch: JointBatch) -> Callable[[Array], Array]:
         (J, v), offset = np.exp(np.clip(p[:2], -FAR, FAR)), p[2]
         decay, gain = np.exp(-v * dt / J), -np.expm1(-v * dt / J) / v
         drive = np.vstack([batch.dq[:1], gain * (batch.u[:-1] - offset)])
-        dq = lfilter([1.0], [1.0, -decay], drive, axis=0)
+        dq = lag(float(decay), drive)
         # J (dq(t) - dq0) + v (q(t) - q0) = int u: position without a second integration
         moved = np.vstack([np.zeros_like(impulse[:1]), impulse[:-1]]) - offset * elapsed
         q = batch.q[0] + (moved - J * (dq - dq[0])) / v

@@ -12,18 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
+from stopset.offline.nominal.filters import low_pass, zero_phase
 from stopset.recording.types import Recording
 from stopset.types import Array
 
-ORDER = 4  # of the Butterworth low-pass, run forwards and backwards: no phase, -6 dB at the cut-off
 IRREGULAR = 0.02  # stamps that leave the even grid by more than this part of the period are resampled
 GAP = 5.5  # a hole of more samples than this splits a trial: nothing may be invented across it
 SLOWEST = 0.06  # cut-off over sampling rate: twice differentiated positions are noise above it
@@ -75,7 +72,7 @@ class PreparedMotion:
 
     def smooth(self, x: Array) -> Array:
         """A regressor (N, ...) through the filter that the torque went through."""
-        return _zero_phase(self.sos, x)
+        return zero_phase(self.sos, x)
 
     def delayed(self, x: Array, delays: Array) -> Array:
         """``x(t - d)`` (kept rows, n, len(delays)) of a filtered, hence smooth, signal (N, n); the ends repeat."""
@@ -115,28 +112,6 @@ def band(q: Array, h: float) -> float:
     return float(max(LOWEST, np.ceil(2 * ABOVE * float(max(ends))) / 2))
 
 
-@lru_cache(maxsize=64)
-def _low_pass(relative: float) -> Array:
-    """Butterworth sections for a cut-off relative to the sampling rate; most trials of a campaign share one."""
-    return np.asarray(butter(ORDER, 2 * relative, output="sos"))
-
-
-@lru_cache(maxsize=64)
-def _at_rest(sections: bytes) -> Array:
-    """State (sections, 2) of a filter that has seen ones for ever; solving for it takes as long as filtering a trial."""
-    return np.asarray(sosfilt_zi(np.frombuffer(sections).reshape(-1, 6)))
-
-
-def _zero_phase(sos: Array, x: Array) -> Array:
-    """Forwards and backwards along the first axis with odd ends: `scipy.signal.sosfiltfilt` to the last bit, in half of its time."""
-    pad = min(len(x) - 1, int(3 * ORDER * 8))
-    rest = _at_rest(np.asarray(sos, np.float64).tobytes()).reshape(-1, 2, *(1,) * (x.ndim - 1))
-    y = np.concatenate([2 * x[:1] - x[pad:0:-1], x, 2 * x[-1:] - x[-2 : -pad - 2 : -1]])
-    y, _ = sosfilt(sos, y, axis=0, zi=rest * y[:1])
-    y, _ = sosfilt(sos, y[::-1], axis=0, zi=rest * y[-1:])
-    return np.asarray(y[::-1][pad : len(y) - pad])
-
-
 def derivative(x: Array, h: float) -> Array:
     """Time derivative of even samples, five points, error of fourth order; second order at the two ends."""
     out = np.gradient(x, h, axis=0)
@@ -159,6 +134,8 @@ def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | Non
         if np.abs(t - even).max() <= IRREGULAR * step:
             yield even, r.q[lo:hi], r.tau[lo:hi], temp
             continue
+        from scipy.interpolate import CubicSpline  # half a second, for what few recordings need
+
         h = float(np.mean(np.diff(t)))
         grid = t[0] + h * np.arange(hi - lo)
         grid = grid[grid <= t[-1]]
@@ -172,11 +149,11 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[PreparedMotion]:
     for t, q, tau, temp in even_pieces(r):
         h = float(t[1] - t[0])
         cutoff = min(settings.cutoff, SLOWEST / h, band(q, h))
-        sos = _low_pass(round(cutoff * h, 9))
+        sos = low_pass(round(cutoff * h, 9))
         ring = int(np.ceil(RINGING / (cutoff * h)))
         if len(t) < 6 * ring:
             continue
-        qf = _zero_phase(sos, q)
+        qf = zero_phase(sos, q)
         dq = derivative(qf, h)
         ddq = derivative(dq, h)
         still = np.abs(dq) < settings.still
@@ -184,11 +161,11 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[PreparedMotion]:
         every = max(1, round(1 / (h * settings.rate)))
         edge = 2 * ring
         if narrow := 0.0 < settings.low_pass < cutoff:
-            sos = _low_pass(round(settings.low_pass * h, 9))
+            sos = low_pass(round(settings.low_pass * h, 9))
             edge = max(edge, int(np.ceil(SEAM / (settings.low_pass * h))))
         retained = np.arange(edge, len(t) - edge, every)
         # what was low-passed already is not low-passed again: the columns then pass its filter once, as it did
-        yield PreparedMotion(t, qf, dq, ddq, tau if narrow else _zero_phase(sos, tau), tau, moving, temp, retained, sos, narrow)
+        yield PreparedMotion(t, qf, dq, ddq, tau if narrow else zero_phase(sos, tau), tau, moving, temp, retained, sos, narrow)
 
 
 def _dilated(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:

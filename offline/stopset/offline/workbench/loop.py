@@ -275,7 +275,7 @@ class Loop:
         key = (at.model.sha256, label)
         if at.found is None:
             return None
-        if key not in self._scenes and (made := scene(at.model, at.found, self.data, label)) is not None:
+        if key not in self._scenes and (made := scene(at.model, at.found, label)) is not None:
             with self._lock:
                 self._scenes[key] = made
                 while len(self._scenes) > SCENES:

@@ -95,7 +95,7 @@ def _compare(order: Order, model: Model, send: Send) -> None:
     send(Answered("verdict", {"text": said.text, "kind": said.kind}))
     send(Answered("compare", answer(model, found)))
     progress("looking for what the error depends on")
-    shares = explained(model, inputs(model, order.data, found.survey, model.powered.dt), found.survey)
+    shares = explained(model, inputs(model, found.trials, found.survey, model.powered.dt), found.survey)
     send(Compared(light, shares))
     send(Answered("dependence", {"variables": list(shares.variables), "share": shares.share.tolist()}))
     progress("drawing the page")

@@ -9,16 +9,23 @@
 #include <math.h>
 #include <string.h>
 
+#include "../wide.h"
 #include "stops.h"
 
 enum { CLAIMS = STOPSET_PULL_CLAIMS };
 
+/* Of joint j, what meets its column: momenta and how loose they are of a joint inside, speeds of the others. */
 typedef struct {
-    const Local *at;
+    double lo[SN], hi[SN], mid[SN], rad[SN], size[SN], loose[SN], beyond[SN];
+} Met;
+
+typedef struct {
     const Span *v, *p;
     Span *out, *rest;
-    double start[SN * SN * WIDE], loose[SN], beyond[SN], shared; /* M; how far M v can be from M_c v, all of it and beyond slopes */
-    int inside[SN], open[SN], count;
+    Along start; /* M */
+    Met met;
+    double loose[SN], beyond[SN], shared; /* how far M v can be from M_c v, all of it and beyond slopes */
+    int n, inside[SN], open[SN], count;
 } Exchange;
 
 static double largest(double lo, double hi) { return most(size_of(lo), size_of(hi)); }
@@ -30,82 +37,134 @@ static void add(double w, double lo, double hi, double *out_lo, double *out_hi, 
     *scale += size_of(w) * largest(lo, hi);
 }
 
-/* A sum of entries times numbers in boxes: at the entries' middle, how far the rest is from that by the boxes alone (loose), or by their slopes:
- * what one angle or the payload does to the middle of all of it (turn), and what is beyond (spread). */
+/* Sums of entries times numbers in boxes, a row each: at the entries' middle, its scale for rounding, how far the rest is from that by the boxes
+ * alone (loose), and what is beyond slopes; entries on the diagonal apart. */
 typedef struct {
-    double lo, hi, scale, loose, spread, turn[WIDE];
-} Row;
+    double lo[SN], hi[SN], scale[SN], loose[SN], beyond[SN];
+} Rows;
 
-/* w (slopes along) [lo, hi], added. */
-static void add_entry(int n, const double *entry, double sign, double lo, double hi, Row *row) {
-    double size = 0.0;
-    for (int l = 1; l < n + 2; l++) {
-        size += size_of(entry[l]);
-        row->turn[l] += 0.5 * entry[l] * (lo + hi);
+static inline double sum_of(const double *x) { return (x[0] + x[1]) + (x[2] + x[3]); }
+
+STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
+    for (int i = 0; i < n; i += LANES) {
+        double lo[LANES] = {0}, hi[LANES] = {0}, scale[LANES] = {0}, loose[LANES] = {0}, beyond[LANES] = {0};
+        for (int j = 0; j < n; j++) {
+            const double *w = A->value + j * SN + i, low = x->lo[j], high = x->hi[j];
+            for (int l = 0; l < LANES; l++) {
+                const double a = w[l] * low, b = w[l] * high, size = size_of(w[l]);
+                lo[l] += w[l] > 0.0 ? a : b;
+                hi[l] += w[l] > 0.0 ? b : a;
+                scale[l] += size * x->size[j];
+                loose[l] += size * x->loose[j];
+                beyond[l] += size * x->beyond[j];
+            }
+        }
+        memcpy(out->lo + i, lo, sizeof lo);
+        memcpy(out->hi + i, hi, sizeof hi);
+        memcpy(out->scale + i, scale, sizeof scale);
+        memcpy(out->loose + i, loose, sizeof loose);
+        memcpy(out->beyond + i, beyond, sizeof beyond);
     }
-    row->spread += 0.5 * size * (hi - lo);
-    add(sign * entry[0], lo, hi, &row->lo, &row->hi, &row->scale);
 }
 
-static double away(int n, const Row *row, double shared) {
-    double spread = row->spread;
-    for (int l = 1; l < n + 2; l++) spread += size_of(row->turn[l]);
-    return least(row->loose, shared * spread) + stopset_rate_rounding * (row->scale + row->loose);
+/* By slopes: what one angle or the payload does to the middle of all of row i, and what is beyond; with either of two boxes of its own number. */
+STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
+    out[0] = out[1] = 0.0;
+    for (int g = 0; g < groups_of(n); g++) {
+        const double(*slope)[LANES] = A->slope[g], *own = slope[pair(i, i)];
+        double turn[LANES] = {0}, spread[LANES] = {0}, first[LANES], second[LANES];
+        for (int j = 0; j < n; j++) {
+            if (j == i) continue;
+            const double *e = slope[j < i ? pair(j, i) : pair(i, j)], middle = x->mid[j], away = x->rad[j];
+            for (int l = 0; l < LANES; l++) {
+                turn[l] += e[l] * middle;
+                spread[l] += size_of(e[l]) * away;
+            }
+        }
+        for (int l = 0; l < LANES; l++) {
+            const double size = size_of(own[l]);
+            first[l] = size_of(turn[l] + own[l] * mid[0]) + (spread[l] + size * rad[0]);
+            second[l] = size_of(turn[l] + own[l] * mid[1]) + (spread[l] + size * rad[1]);
+        }
+        out[0] += sum_of(first);
+        out[1] += sum_of(second);
+    }
+}
+
+/* How far a row is from that at the entries' middle. */
+static double away(double loose, double spread, double scale, double shared) {
+    return least(loose, shared * spread) + stopset_rate_rounding * (scale + loose);
+}
+
+/* Row i of a joint inside: its speed. */
+static void read_speed(const Along *A, const Rows *rows, int i, Exchange *x) {
+    const Met *met = &x->met;
+    const double own = A->own[i], a = own * met->lo[i], b = own * met->hi[i], size = size_of(own);
+    const double mid[2] = {met->mid[i], met->mid[i]}, rad[2] = {met->rad[i], met->rad[i]};
+    double spread[2];
+    sum_slopes(x->n, A, met, i, mid, rad, spread);
+    const double off = away(rows->loose[i] + size * met->loose[i], spread[0] + (rows->beyond[i] + size * met->beyond[i]),
+                            rows->scale[i] + size * met->size[i], x->shared);
+    x->out->lo[i] = most(x->out->lo[i], -(rows->hi[i] + (own > 0.0 ? b : a)) - off);
+    x->out->hi[i] = least(x->out->hi[i], -(rows->lo[i] + (own > 0.0 ? a : b)) + off);
+}
+
+/* Row i of another: how much momentum the others pull at it where it does not move forward, and where it does not move backward. */
+static void read_pulls(const Along *A, const Rows *rows, int i, Exchange *x) {
+    const double own = A->own[i], v_lo = x->v->lo[i], v_hi = x->v->hi[i], loose = rows->loose[i] + x->loose[i];
+    const double lo[2] = {v_lo, most(v_lo, 0.0)}, hi[2] = {least(v_hi, 0.0), v_hi};
+    double mid[2], rad[2], spread[2], off[2];
+    for (int k = 0; k < 2; k++) {
+        mid[k] = 0.5 * (lo[k] + hi[k]);
+        rad[k] = 0.5 * (hi[k] - lo[k]);
+    }
+    sum_slopes(x->n, A, &x->met, i, mid, rad, spread);
+    for (int k = 0; k < 2; k++)
+        off[k] = away(loose, spread[k] + (rows->beyond[i] + x->beyond[i]), rows->scale[i] + size_of(own) * largest(lo[k], hi[k]), x->shared);
+    if (v_lo <= 0.0) x->rest->hi[i] = least(x->rest->hi[i], rows->hi[i] + own * (own > 0.0 ? hi[0] : lo[0]) + off[0]);
+    if (v_hi >= 0.0) x->rest->lo[i] = most(x->rest->lo[i], rows->lo[i] + own * (own > 0.0 ? lo[1] : hi[1]) - off[1]);
 }
 
 /* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
-static void read_rows(const double *A, Exchange *x) {
-    const int n = x->at->n, wide = n + 2;
-    for (int i = 0; i < n; i++) {
-        const double *own = A + i * (n + 1) * wide;
-        Row row = {0};
-        for (int j = 0; j < n; j++) {
-            const double *e = A + (i * n + j) * wide;
-            const Span *of = x->inside[j] ? x->p : x->v;
-            if (j == i && !x->inside[i]) continue;
-            add_entry(n, e, x->inside[i] ? -1.0 : 1.0, of->lo[j], of->hi[j], &row);
-            if (!x->inside[j]) continue;
-            double size = 0.0;
-            for (int l = 1; l < wide; l++) size += size_of(e[l]);
-            row.loose += size_of(e[0]) * x->loose[j];
-            row.spread += size * x->loose[j] + size_of(e[0]) * x->beyond[j];
-        }
-        if (x->inside[i]) {
-            const double off = away(n, &row, x->shared);
-            x->out->lo[i] = most(x->out->lo[i], row.lo - off);
-            x->out->hi[i] = least(x->out->hi[i], row.hi + off);
-            continue;
-        }
-        row.loose += x->loose[i];
-        row.spread += x->beyond[i];
-        if (x->v->lo[i] <= 0.0) {
-            Row up = row;
-            add_entry(n, own, 1.0, x->v->lo[i], least(x->v->hi[i], 0.0), &up);
-            x->rest->hi[i] = least(x->rest->hi[i], up.hi + away(n, &up, x->shared));
-        }
-        if (x->v->hi[i] >= 0.0) {
-            add_entry(n, own, 1.0, most(x->v->lo[i], 0.0), x->v->hi[i], &row);
-            x->rest->lo[i] = most(x->rest->lo[i], row.lo - away(n, &row, x->shared));
-        }
+static void read_rows(const Along *A, Exchange *x) {
+    Rows rows;
+    sum_rows(x->n, A, &x->met, &rows);
+    for (int i = 0; i < x->n; i++) {
+        if (x->inside[i])
+            read_speed(A, &rows, i, x);
+        else
+            read_pulls(A, &rows, i, x);
     }
 }
 
+/* What meets the column of joint j, inside or not. */
+static void meet(Exchange *x, int j, int inside) {
+    const double lo = inside ? x->p->lo[j] : x->v->lo[j], hi = inside ? x->p->hi[j] : x->v->hi[j];
+    Met *met = &x->met;
+    x->inside[j] = inside;
+    met->lo[j] = lo;
+    met->hi[j] = hi;
+    met->loose[j] = inside ? x->loose[j] : 0.0;
+    met->beyond[j] = inside ? x->beyond[j] : 0.0;
+    met->mid[j] = 0.5 * (lo + hi);
+    met->rad[j] = 0.5 * (hi - lo) + met->loose[j];
+    met->size[j] = largest(lo, hi);
+}
+
 /* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
-static void visit(const double *A, int k, Exchange *x) {
-    const int n = x->at->n;
-    double B[SN * SN * WIDE];
+static void visit(const Along *A, int k, Exchange *x) {
+    Along B;
     if (k == x->count) {
         read_rows(A, x);
         return;
     }
-    const int joint = x->open[k], at = joint * (n + 1) * (n + 2);
+    const int joint = x->open[k];
     visit(A, k + 1, x);
-    if (!(A[at] > 1e-6 * x->start[at])) return;
-    memcpy(B, A, (size_t)(n * n * (n + 2)) * sizeof *B);
-    stops_pivot_along(n, B, joint);
-    x->inside[joint] = 1;
-    visit(B, k + 1, x);
-    x->inside[joint] = 0;
+    if (!(A->own[joint] > 1e-6 * x->start.own[joint])) return;
+    stops_pivot_along(x->n, A, joint, &B);
+    meet(x, joint, 1);
+    visit(&B, k + 1, x);
+    meet(x, joint, 0);
 }
 
 /* Inverse W of M_c and dM/dq_k W at the expansion's pose; 0 where M_c is not surely positive definite. */
@@ -166,9 +225,16 @@ static void exchange(const StopsetPlant *plant, const Expansion *E, const Local 
                      const Span *p, Span *out, Span *rest) {
     const int n = at->n;
     double fast[SN] = {0.0}, push[SN];
-    Exchange x = {.at = at, .v = v, .p = p, .out = out, .rest = rest, .shared = parts->shared};
+    Exchange x;
+    x.n = n;
+    x.count = 0;
+    x.v = v;
+    x.p = p;
+    x.out = out;
+    x.rest = rest;
+    x.shared = parts->shared;
     for (int i = 0; i < n; i++) fast[i] = largest(v->lo[i], v->hi[i]);
-    stops_slopes(plant, E, at, fast, x.start, push, x.beyond);
+    stops_slopes(plant, E, at, fast, &x.start, push, x.beyond);
     looseness(E, at, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
         out->lo[i] = -STOPS_INF;
@@ -176,8 +242,9 @@ static void exchange(const StopsetPlant *plant, const Expansion *E, const Local 
         rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
         rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
         if (v->hi[i] > v->lo[i]) x.open[x.count++] = i;
+        meet(&x, i, 0);
     }
-    visit(x.start, 0, &x);
+    visit(&x.start, 0, &x);
 }
 
 /* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */

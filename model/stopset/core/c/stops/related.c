@@ -9,73 +9,108 @@
  */
 #include <string.h>
 
+#include "../wide.h"
 #include "stops.h"
 
 typedef struct {
     int n, inside[SN], open[SN], count, fits;
-    double start[SN * SN * WIDE], push[SN], beyond[SN]; /* M; torques of its change, and of what is beyond slopes, at claimed accelerations */
-    double speeds[SN * SN], turns[SN * WIDE];           /* h: columns of nu; of delta and s */
+    Along start;                                   /* M */
+    double push[SN], beyond[SN];                   /* torques of its change, and of what is beyond slopes, at claimed accelerations */
+    double speeds[SN * SN], turns[SN * SLOPES];    /* h: columns of nu; of delta and s */
     double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN], known[SN], own[RATES][SN]; /* r less the middle of h; sizes of columns; of joint i itself */
     const Step *s;
     double (*out)[SN], shared;
 } Relation;
 
-void stops_pivot_along(int n, double *A, int k) {
-    const int wide = n + 2;
-    double row[SN * WIDE], share[SN];
-    memcpy(row, A + k * n * wide, (size_t)(n * wide) * sizeof *row);
-    const double *p = row + k * wide, d = 1.0 / p[0];
-    for (int i = 0; i < n; i++) share[i] = row[i * wide] * d;
+STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
+    const double d = 1.0 / A->own[k], *row = A->value + k * SN;
+    double share[SN], bent[SN][LANES];
+    for (int j = 0; j < SN; j++) share[j] = row[j] * d; /* zero for k itself: no branch in the loops */
     for (int i = 0; i < n; i++) {
-        const double b = share[i], *a = row + i * wide;
-        double *across = A + (i * n + k) * wide, *down = A + (k * n + i) * wide;
-        if (i == k) continue;
-        for (int j = 0; j < n; j++) {
-            const double c = share[j], *e = row + j * wide;
-            double *x = A + (i * n + j) * wide;
-            if (j == k) continue;
-            x[0] -= b * e[0];
-            for (int l = 1; l < wide; l++) x[l] += b * c * p[l] - a[l] * c - b * e[l];
-        }
-        across[0] = down[0] = b;
-        for (int l = 1; l < wide; l++) across[l] = down[l] = d * (a[l] - b * p[l]);
+        const double b = share[i];
+        B->own[i] = A->own[i] - b * row[i];
+        for (int j = 0; j < SN; j++) B->value[i * SN + j] = A->value[i * SN + j] - b * row[j];
+        B->value[i * SN + i] = 0.0;
+        B->value[i * SN + k] = b;
     }
-    A[k * (n + 1) * wide] = -d;
-    for (int l = 1; l < wide; l++) A[k * (n + 1) * wide + l] = d * d * p[l];
+    memcpy(B->value + k * SN, share, sizeof share);
+    B->own[k] = -d;
+    for (int g = 0; g < groups_of(n); g++) {
+        const double(*a)[LANES] = A->slope[g], *p = a[pair(k, k)];
+        double(*x)[LANES] = B->slope[g];
+        for (int j = 0; j < n; j++)
+            for (int l = 0; l < LANES; l++) bent[j][l] = a[j < k ? pair(j, k) : pair(k, j)][l] - share[j] * p[l];
+        for (int i = 0; i < n; i++) {
+            const double b = share[i];
+            for (int j = 0; j <= i; j++) {
+                const double c = share[j], *e = a[j < k ? pair(j, k) : pair(k, j)], *old = a[pair(j, i)];
+                for (int l = 0; l < LANES; l++) x[pair(j, i)][l] = old[l] - (c * bent[i][l] + b * e[l]);
+            }
+        }
+        for (int j = 0; j < n; j++)
+            for (int l = 0; l < LANES; l++) x[j < k ? pair(j, k) : pair(k, j)][l] = d * bent[j][l];
+        for (int l = 0; l < LANES; l++) x[pair(k, k)][l] = d * d * p[l];
+    }
+}
+
+/* What slopes do to row i: sums of their sizes times what torques are uncertain by, of columns, times all that scales rounding, and of its own. */
+typedef struct {
+    double spread, columns, scale, own;
+} Turned;
+
+static inline double sum_of(const double *x) { return (x[0] + x[1]) + (x[2] + x[3]); }
+
+STOPSET_WIDE static Turned turned(const Along *A, int i, const Relation *x) {
+    const int n = x->n;
+    Turned out = {0.0, 0.0, 0.0, 0.0};
+    for (int g = 0; g < groups_of(n); g++) {
+        double turn[LANES] = {0}, spread[LANES] = {0}, scale[LANES] = {0}, own[LANES] = {0};
+        for (int j = 0; j < n; j++) {
+            if (j != i && !x->inside[j]) continue;
+            const double *e = A->slope[g][j < i ? pair(j, i) : pair(i, j)], *column = x->turns + j * SLOPES + g * LANES;
+            const double v = j == i ? -A->own[i] : -A->value[i * SN + j], all = most(size_of(x->r_lo[j]), size_of(x->r_hi[j])) + x->known[j] + x->push[j];
+            const double loose = x->known[j] + x->push[j] + (j == i ? 0.0 : x->r_rad[j]), middle = x->r_mid[j], self = j == i ? 1.0 : 0.0;
+            for (int l = 0; l < LANES; l++) {
+                const double size = size_of(e[l]);
+                turn[l] += v * column[l] + e[l] * middle;
+                spread[l] += size * loose;
+                scale[l] += size * all;
+                own[l] += size * self;
+            }
+        }
+        for (int l = 0; l < LANES; l++) turn[l] = size_of(turn[l]);
+        out.spread += sum_of(spread);
+        out.columns += sum_of(turn);
+        out.scale += sum_of(scale);
+        out.own += sum_of(own);
+    }
+    return out;
 }
 
 /* The hull grows by the accelerations of joint i when it moves and so do those inside. */
-static void read_row(const double *A, int i, Relation *x) {
-    const int n = x->n, wide = n + 2;
-    const double *row = A + i * n * wide, w = -row[i * wide];
-    double lo = 0.0, hi = 0.0, spread = 0.0, scale = 1.0, own = 0.0, speed[SN] = {0}, turn[WIDE] = {0};
+STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
+    const int n = x->n;
+    const double w = -A->own[i];
+    const Turned slopes = turned(A, i, x);
+    double lo = 0.0, hi = 0.0, spread = slopes.spread, scale = 1.0 + slopes.scale, speed[SN] = {0};
     for (int j = 0; j < n; j++) {
         if (j != i && !x->inside[j]) continue;
-        const double *e = row + j * wide, v = -e[0], largest = most(size_of(x->r_lo[j]), size_of(x->r_hi[j])) + x->known[j];
-        double turned = 0.0;
-        for (int l = 1; l < wide; l++) {
-            turned += size_of(e[l]);
-            turn[l] += v * x->turns[j * WIDE + l] + e[l] * x->r_mid[j];
-        }
-        for (int k = 0; k < n; k++) speed[k] += v * x->speeds[j * n + k];
-        spread += turned * (x->known[j] + x->push[j]) + size_of(v) * x->beyond[j];
-        scale += (size_of(v) + turned) * (largest + x->push[j]);
-        if (j == i) {
-            own = turned;
-            continue;
-        }
-        spread += turned * x->r_rad[j];
+        const double v = j == i ? w : -A->value[i * SN + j], *column = x->speeds + j * SN;
+        for (int k = 0; k < SN; k++) speed[k] += v * column[k];
+        spread += size_of(v) * x->beyond[j];
+        scale += size_of(v) * (most(size_of(x->r_lo[j]), size_of(x->r_hi[j])) + x->known[j] + x->push[j]);
+        if (j == i) continue;
         lo += v > 0.0 ? v * x->r_lo[j] : v * x->r_hi[j];
         hi += v > 0.0 ? v * x->r_hi[j] : v * x->r_lo[j];
     }
     for (int k = 0; k < n; k++) spread += size_of(speed[k]);
-    for (int l = 1; l < wide; l++) spread += size_of(turn[l]);
-    if (!(w > own)) x->fits = 0; /* else not even the sign of its own answer is known */
+    spread += slopes.columns;
+    if (!(w > slopes.own)) x->fits = 0; /* else not even the sign of its own answer is known */
     spread = x->shared * spread + stopset_rate_rounding * scale;
     for (int rate = 0; rate < RATES; rate++) {
         const int backward = rate == 2 || rate == 3 || rate == 6 || rate == 7 || rate == 9;
         if (!x->s->zero[i] && !(backward ? x->s->minus[i] : x->s->plus[i])) continue;
-        const double f = x->own[rate][i], away = spread + own * size_of(f - x->r_mid[i]);
+        const double f = x->own[rate][i], away = spread + slopes.own * size_of(f - x->r_mid[i]);
         if (is_lower(rate))
             x->out[rate][i] = least(x->out[rate][i], lo + w * f - away);
         else
@@ -84,48 +119,52 @@ static void read_row(const double *A, int i, Relation *x) {
 }
 
 /* B: A with joint k inside; 0 if that is not surely possible. */
-static int joined(const double *A, int k, Relation *x, double *B) {
-    const int n = x->n, at = k * (n + 1) * (n + 2);
-    memcpy(B, A, (size_t)(n * n * (n + 2)) * sizeof *B);
-    if (!(B[at] > 1e-6 * x->start[at])) return x->fits = 0;
-    stops_pivot_along(n, B, k);
+static int joined(const Along *A, int k, Relation *x, Along *B) {
+    if (!(A->own[k] > 1e-6 * x->start.own[k])) return x->fits = 0;
+    stops_pivot_along(x->n, A, k, B);
     return 1;
 }
 
 /* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
-static void visit(const double *A, int k, Relation *x) {
-    double B[SN * SN * WIDE];
+static void visit(const Along *A, int k, Relation *x) {
+    Along B;
     if (k < x->count) {
         const int joint = x->open[k];
         if (x->s->zero[joint]) visit(A, k + 1, x); /* else it surely moves */
-        if (!joined(A, joint, x, B)) return;
+        if (!joined(A, joint, x, &B)) return;
         x->inside[joint] = 1;
-        visit(B, k + 1, x);
+        visit(&B, k + 1, x);
         x->inside[joint] = 0;
         return;
     }
     for (int i = 0; i < x->n; i++) {
         if (x->inside[i])
             read_row(A, i, x);
-        else if (!x->s->plus[i] && !x->s->minus[i] && joined(A, i, x, B))
-            read_row(B, i, x); /* at rest: with this it would start, were it to start */
+        else if (!x->s->plus[i] && !x->s->minus[i] && joined(A, i, x, &B))
+            read_row(&B, i, x); /* at rest: with this it would start, were it to start */
     }
 }
 
-void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, double *A, double *push, double *beyond) {
+void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, Along *A, double *push, double *beyond) {
     const int n = at->n;
+    memset(A->value, 0, sizeof A->value);
+    for (int g = 0; g < groups_of(n); g++) memset(A->slope[g], 0, (size_t)(n * (n + 1) / 2) * sizeof *A->slope[g]);
     for (int i = 0; i < n; i++) {
         push[i] = beyond[i] = 0.0;
         for (int j = 0; j < n; j++) {
-            const int ij = i * n + j;
+            const int ij = i * n + j, place = i < j ? pair(i, j) : pair(j, i);
             const double rotor = i == j ? p->rotor_half[i] : 0.0; /* of each joint its own */
-            double *a = A + ij * (n + 2), linear = 0.0;
-            a[0] = at->M[ij];
+            double linear = 0.0;
             for (int l = 0; l < n; l++) {
-                a[1 + l] = E->dM[ij * n + l] * at->rad[l];
-                linear += size_of(a[1 + l]);
+                const double slope = E->dM[ij * n + l] * at->rad[l];
+                A->slope[l / LANES][place][l % LANES] = slope;
+                linear += size_of(slope);
             }
-            a[1 + n] = at->Mp[ij] - rotor;
+            A->slope[n / LANES][place][n % LANES] = at->Mp[ij] - rotor;
+            if (i == j)
+                A->own[i] = at->M[ij];
+            else
+                A->value[i * SN + j] = at->M[ij];
             push[i] += at->dM[ij] * size[j];
             beyond[i] += (most(at->M_rad[ij] - linear, 1e-12 * linear) + at->Mp_rad[ij] + rotor) * size[j];
         }
@@ -141,7 +180,7 @@ static double second(const Expansion *E, int i, int j, int k, int l) {
 /* Columns of the Coriolis torque of joint i; its middle, and what is beyond, added. */
 static void coriolis(const Expansion *E, const Local *at, int i, Relation *x, double *middle, double *rest) {
     const int n = at->n;
-    double *turns = x->turns + i * WIDE + 1;
+    double *turns = x->turns + i * SLOPES;
     for (int k = 0; k < n; k++)
         for (int o = 0; o < n; o++) {
             const int ik = (i * n + k) * n + o, io = (i * n + o) * n + k, ko = (k * n + o) * n + i;
@@ -154,7 +193,7 @@ static void coriolis(const Expansion *E, const Local *at, int i, Relation *x, do
                 turns[l] += slope * at->rad[l] * c * b;
             }
             turns[n] += E->Gammap[ik] * c * b;
-            x->speeds[i * n + k] += 2.0 * G * b * r;
+            x->speeds[i * SN + k] += 2.0 * G * b * r;
             *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
             *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ik])) * spread;
             *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
@@ -166,17 +205,17 @@ static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, 
     const int n = at->n;
     const Step *s = x->s;
     double middle = E->g[i], rest = 0.0;
-    memset(x->speeds + i * n, 0, (size_t)n * sizeof(double));
-    memset(x->turns + i * WIDE, 0, WIDE * sizeof(double));
+    memset(x->speeds + i * SN, 0, SN * sizeof(double));
+    memset(x->turns + i * SLOPES, 0, SLOPES * sizeof(double));
     for (int k = 0; k < n; k++) {
         double bend = 0.0;
         const double far = size_of(at->x[k]) + at->rad[k];
         for (int o = 0; o < n; o++) bend += 0.5 * p->curvature.g[(i * n + k) * n + o] * (size_of(at->x[o]) + at->rad[o]);
         middle += E->dg[i * n + k] * at->x[k];
-        x->turns[i * WIDE + 1 + k] = E->dg[i * n + k] * at->rad[k];
+        x->turns[i * SLOPES + k] = E->dg[i * n + k] * at->rad[k];
         rest += (size_of(E->dgp[i * n + k]) + bend) * far;
     }
-    x->turns[i * WIDE + 1 + n] = E->gp[i];
+    x->turns[i * SLOPES + n] = E->gp[i];
     coriolis(E, at, i, x, &middle, &rest);
     const double up = s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
     const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
@@ -188,16 +227,23 @@ static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, 
     x->r_mid[i] = 0.5 * (x->r_lo[i] + x->r_hi[i]);
     x->r_rad[i] = 0.5 * (x->r_hi[i] - x->r_lo[i]);
     x->known[i] = 0.0;
-    for (int k = 0; k < n; k++) x->known[i] += size_of(x->speeds[i * n + k]);
-    for (int l = 1; l < n + 2; l++) x->known[i] += size_of(x->turns[i * WIDE + l]);
+    for (int k = 0; k < n; k++) x->known[i] += size_of(x->speeds[i * SN + k]);
+    for (int l = 0; l <= n; l++) x->known[i] += size_of(x->turns[i * SLOPES + l]);
 }
 
 /* `out` of stops_accelerations cut to what is known so; left as it is where nothing is. */
 void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]) {
     const int n = at->n;
     double found[RATES][SN];
-    Relation x = {.n = n, .fits = 1, .s = s, .out = found, .shared = parts->shared};
-    stops_slopes(p, E, at, s->a_far, x.start, x.push, x.beyond);
+    Relation x;
+    x.n = n;
+    x.fits = 1;
+    x.count = 0;
+    x.s = s;
+    x.out = found;
+    x.shared = parts->shared;
+    memset(x.inside, 0, sizeof x.inside);
+    stops_slopes(p, E, at, s->a_far, &x.start, x.push, x.beyond);
     for (int i = 0; i < n; i++) {
         torques(p, E, at, i, &x);
         for (int row = 0; row < RATES; row++) found[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
@@ -205,7 +251,7 @@ void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, c
     }
     for (int i = 0; i < n; i++)
         if (s->zero[i] && (s->plus[i] || s->minus[i])) x.open[x.count++] = i;
-    visit(x.start, 0, &x);
+    visit(&x.start, 0, &x);
     if (!x.fits) return;
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < n; i++) out[row][i] = is_lower(row) ? most(out[row][i], found[row][i]) : least(out[row][i], found[row][i]);

@@ -73,11 +73,17 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
 void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
                      const double *w_hi, const StopsetParts *parts, Local *out);
 void stops_pivot(int n, double *A, int k, int into);
-/* A (n, n, n + 2): the inertia at the middle of a box and its slopes in all angles and in the payload, each times its half range; how much its
- * change, and what is beyond the slopes, can make of numbers no larger than `size`. Then: joint k inside as stops_pivot does it, slopes along. */
-enum { WIDE = SN + 2 };
-void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, double *A, double *push, double *beyond);
-void stops_pivot_along(int n, double *A, int k);
+/* A symmetric matrix and its slopes in all angles and in the payload, each times its half range: entries apart from the diagonal, (n, n) with
+ * stride SN and the diagonal zero, then those on it; slopes by pair(i, j), LANES of them side by side. What is beyond n is zero. */
+enum { LANES = 4, GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
+typedef struct {
+    double own[SN], value[SN * SN], slope[GROUPS][PAIRS][LANES];
+} Along;
+static inline int groups_of(int n) { return (n + LANES) / LANES; }
+/* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.
+ * Then: B is A with joint k inside as stops_pivot does it, slopes along. */
+void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, Along *A, double *push, double *beyond);
+void stops_pivot_along(int n, const Along *A, int k, Along *B);
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
 void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]);
 void stops_start_bands(int n, const double *v_lo, const double *v_hi, Bands *b);

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from stopset.offline.diagnose import thresholds as limit
 from stopset.recording import Recording, Recordings
@@ -91,6 +90,8 @@ def _distinct(place: Array) -> Array:
 
 def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampled:
     """The trial as sampled at the times ``t``."""
+    from scipy.interpolate import CubicSpline  # half a second, for what few recordings need
+
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)
     before = np.clip(np.searchsorted(t, grid, "right") - 1, 0, len(t) - 2)
 
