@@ -62,7 +62,7 @@ class _Claim:
 class _Joint:
     """A joint's trials, even and odd; the terms its model has; what was claimed beside them, one after another.
 
-    ``kept``, ``fitted``: numbers of both, estimated together.
+    ``refitted``, ``fitted``: numbers of both, estimated together.
     """
 
     name: str
@@ -70,7 +70,7 @@ class _Joint:
     held: JointBatch
     own: tuple[EffectTerm, ...]
     claims: tuple[_Claim, ...]
-    kept: tuple[Fitted, ...]
+    refitted: tuple[Fitted, ...]
     fitted: tuple[Fitted, ...]
 
     def ranked(self) -> list[Ranked]:
@@ -127,7 +127,7 @@ class OpenLoop:
     def with_claims(self, model: Sequence[Fitted], chosen: Sequence[Ranked]) -> tuple[Fitted, ...]:
         """Effects of a ``model`` once it has the claims ``chosen``; at their joints its own numbers held what was missing until now."""
         touched = {r.joints[0] for r in chosen}
-        anew = {f.label: f for joint in self.joints if joint.name in touched for f in joint.kept}
+        anew = {f.label: f for joint in self.joints if joint.name in touched for f in joint.refitted}
         return (*(anew.get(f.label, f) for f in model), *(r.fitted for r in chosen))
 
 
