@@ -22,7 +22,7 @@ from stopset.artifact import save_model
 from stopset.recording import write_recordings
 
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
-UNITS = ("stopset.service", "stopset-expiry.service")
+UNITS = ("stopset.service", "stopset-expiry.service", "stopset-router.service")
 EXPOSED = 2.0
 
 
@@ -46,7 +46,7 @@ def units(tmp_path: Path) -> Path:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("systemd-analyze is not on this machine")
     for file in (DEPLOY / "systemd").iterdir():
-        text = re.sub(r"^(Exec\w+=)/opt/\S+", r"\1/bin/true", file.read_text(), flags=re.MULTILINE)
+        text = re.sub(r"^(Exec\w+=)/(?:opt|usr/bin/zenohd)\S*", r"\1/bin/true", file.read_text(), flags=re.MULTILINE)
         (tmp_path / file.name).write_text(text)
     return tmp_path
 
@@ -169,6 +169,34 @@ def test_an_upgrade_that_is_not_healthy_goes_back(tmp_path: Path) -> None:
     assert sh(DEPLOY / "checks/upgrade.sh", good, **words).returncode == 0 and link.resolve() == good
     for wrong in (good, tmp_path / "nowhere"):
         assert sh(DEPLOY / "checks/upgrade.sh", wrong, **words).returncode == 2 and link.resolve() == good
+
+
+def test_a_model_goes_and_comes_back_with_its_version(tmp_path: Path) -> None:
+    """A version that reads another schema brings its model; the old one comes back with the old version, each with its signature."""
+    old, good, bad = (version(tmp_path / n, h) for n, h in (("old", True), ("good", True), ("bad", False)))
+    (tmp_path / "stopset").symlink_to(old)
+    (tmp_path / "arm.toml").write_text('site = "s"\nmodel = "arm.model.json"  # of this arm\n[bus]\nmodel = "none"\n')
+    model, before = tmp_path / "arm.model.json", tmp_path / "arm.model.json.before"
+    for name in ("arm", "new"):
+        (tmp_path / f"{name}.model.json").write_text(name)
+    (tmp_path / "arm.model.json.sig").write_text("signs arm")
+    model.chmod(0o640)
+    words = {"STOPSET_LINK": str(tmp_path / "stopset"), "STOPSET_CONFIG": str(tmp_path / "arm.toml"), "SYSTEMCTL": "true"}
+    words |= {"PATIENCE": "1", "PAUSE": "0"}
+
+    def there() -> tuple[str, str]:
+        sig = tmp_path / "arm.model.json.sig"
+        return model.read_text(), sig.read_text() if sig.exists() else ""
+
+    upgrade = DEPLOY / "checks/upgrade.sh"
+    assert sh(upgrade, bad, tmp_path / "new.model.json", **words).returncode == 1 and there() == ("arm", "signs arm")
+    done = sh(upgrade, good, tmp_path / "new.model.json", **words)
+    assert done.returncode == 0 and there() == ("new", "") and before.read_text() == "arm"
+    assert stat.S_IMODE(model.stat().st_mode) == 0o640
+    back = done.stdout.rpartition("back with: upgrade.sh ")[2].split()
+    assert sh(upgrade, *back, **words).returncode == 0 and there() == ("arm", "signs arm") and before.read_text() == "new"
+    assert sh(upgrade, good, tmp_path / "nowhere", **words).returncode == 2 and there() == ("arm", "signs arm")
+    assert not list(tmp_path.glob("*.coming*")) + list(tmp_path.glob("*.new"))
 
 
 @pytest.mark.slow

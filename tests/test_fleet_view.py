@@ -129,6 +129,18 @@ def test_silence_is_grey_even_while_the_token_stands() -> None:
     assert words(fleet) == {"a/b/c": "NO DATA"}
 
 
+def test_a_look_makes_the_rows_that_it_shows_and_counts_all() -> None:
+    fleet = Fleet()
+    for k in range(300):
+        state = ("OK", "FAULT", "UNKNOWN")[k % 3]
+        fleet.take_json(f"hall/cell{k}/arm/stopset/state/json", json.dumps({"state": state, "why": "w"}).encode())
+    fleet.take_alive("hall/cell0/arm/stopset/alive", there=False)
+    every, few = fleet.rows(), fleet.snapshot(101)
+    assert few["rows"] == every[:101] and few["rows"][100]["word"] == "NO DATA"
+    assert few["arms"] == len(every) == 300 and few["counts"] == {"FAULT": 100, "NO DATA": 1, "UNKNOWN": 100, "OK": 99}
+    assert [r["arm"] for r in every[:3]] == [f"hall/cell{k}/arm" for k in (1, 4, 7)]
+
+
 def test_arms_are_counted_as_people_count() -> None:
     fleet = Fleet()
     for k in (10, 2, 1):

@@ -102,3 +102,73 @@ def test_words_go_up_and_nothing_else(tmp_path: Path) -> None:
         words = heard["a/b/c/stopset/state/json"]
         assert (len(words) - 1) / (words[-1] - words[0]) < 2.3, "of five a second two go up"
         assert worst == {"OK"}, "and two keep the overview fresh"
+
+
+def routed(file: Path) -> subprocess.Popen[str]:
+    process = subprocess.Popen([sys.executable, "-c", HALL, str(file)], env=environment(), stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and wait(lambda: process.stdout.readline().strip() == "listens")
+    return process
+
+
+@OPENSSL
+def test_a_cells_words_pass_two_routers_and_its_consumers_need_neither_hall(tmp_path: Path) -> None:
+    """Daemon, cell's router, hall's router, each as shipped; the hall's comes late, is killed, and is begun anew."""
+    pki, cell, hall_port = tmp_path / "pki", free_port(), free_port()
+    people = ["stopset-daemon", "stopset-plc", "stopset-operator"]
+    subprocess.run([ZENOH / "pki/make-certs.sh", pki, "localhost", *people], check=True, capture_output=True)
+    for name in ("hall", "router", "daemon", "plc"):
+        text = (ZENOH / f"{name}.json5").read_text().replace("/etc/stopset/zenoh/pki", str(pki))
+        port = hall_port if name == "hall" else cell
+        text = text.replace("0.0.0.0:7447", f"127.0.0.1:{port}").replace("router.cell.local:7447", f"localhost:{cell}")
+        # the site's router is not there: that holds nothing up; all of this is one interface, so its rules are tried above
+        text = text.replace("router.site.local:7447", f"localhost:{free_port()}").replace("uplink0", "none0")
+        text = text.replace("connect: { endpoints: [],", f'connect: {{ endpoints: ["tls/localhost:{hall_port}"],')
+        (tmp_path / f"{name}.json5").write_text(text)
+    # who looks at the hall: with a certificate of the cell's authority, at the hall's router
+    viewer = (tmp_path / "plc.json5").read_text().replace("stopset-plc", "stopset-operator")
+    (tmp_path / "viewer.json5").write_text(viewer.replace(f"localhost:{cell}", f"localhost:{hall_port}"))
+    processes, links, over = [routed(tmp_path / "router.json5")], [], threading.Event()
+    fleet, near, orders = Fleet(), [0], []
+
+    def looks() -> ZenohLink:
+        link = ZenohLink(file=tmp_path / "viewer.json5")
+        link.subscribe("*/*/*/stopset/state/json", fleet.take_json)
+        link.watch_alive("*/*/*/stopset/alive", fleet.take_alive)
+        return link
+
+    try:
+        daemon = ZenohLink("site/cell/arm/stopset", file=tmp_path / "daemon.json5")
+        plc = ZenohLink("site/cell/arm/stopset", file=tmp_path / "plc.json5")
+        links += [daemon, plc]
+        daemon.alive("alive")
+        daemon.subscribe("reset", lambda _, data: orders.append(data))
+        plc.subscribe("state", lambda *_: near.__setitem__(0, near[0] + 1))
+
+        def live() -> None:
+            send = daemon.fast("state")
+            while not over.wait(0.05):
+                send(b"every cycle")
+                daemon.put("state/json", '{"state": "OK", "why": "w"}')
+
+        thread = threading.Thread(target=live)
+        thread.start()
+        assert wait(lambda: near[0] > 10), "without a hall"
+        for _ in range(2):
+            processes.append(routed(tmp_path / "hall.json5"))
+            links.append(looks())
+            assert wait(lambda: [r["word"] for r in fleet.rows()] == ["OK"]), "the cell's router finds it by itself"
+            for _ in range(4):
+                links[-1].put("site/cell/arm/stopset/reset", "from the hall")
+                rest(0.25)
+            links.pop().close()
+            processes[-1].kill()
+            near[0] = 0
+            assert wait(lambda: [r["word"] for r in fleet.rows()] == ["NO DATA"]) and wait(lambda: near[0] > 10)
+        assert not orders, "an operator's order through the hall does not come down: the cell's router lets the hall read only"
+    finally:
+        over.set()
+        for link in reversed(links):
+            link.close()
+        for process in processes:
+            process.kill()
+            process.communicate()

@@ -27,6 +27,8 @@ echo "tools:" $(find /opt/stopset -name "pip" -o -name "pip-*" -o -name "pip3*" 
 health gone
 {entry} > /tmp/monitor 2>&1 &
 monitor=$!
+for _ in 1 2 3 4 5 6; do health waiting > /tmp/said; grep -q INIT /tmp/said && break; done
+cat /tmp/said
 stopset replay /etc/stopset/rec.parquet --to zenoh:tcp/127.0.0.1:{port} --key js --loop > /tmp/replay 2>&1 &
 replay=$!
 for _ in 1 2 3 4 5 6 7 8 9 10; do health running > /tmp/said; grep -q green /tmp/said && break; done
@@ -67,7 +69,7 @@ def test_the_image_that_the_dockerfile_makes_watches_an_arm(tmp_path: Path) -> N
     assert said[:3] == ["CapEff:\t0000000000000000", "CapBnd:\t0000000000000000", "NoNewPrivs:\t1"] and said[3] == "10001", said
     assert said[4:7] == ["the root is read only", "the configuration is read only", "tools:"], said
     assert said[7].startswith("gone red") and "Traceback" not in said[7], said
-    assert said[8] == "running green" and "arm.latch" in said, said
+    assert said[8].startswith("waiting red: INIT") and said[9] == "running green" and "arm.latch" in said, said
     assert any(line.startswith("silent red") for line in said) and "the daemon ended with 0" in said, done.stdout[:3000]
     locked = re.findall(
         r"^([a-z0-9][\w.-]*)(?:\[[\w,]+\])?==(\S+)", (ROOT / "deploy/container/requirements.lock").read_text(), re.M

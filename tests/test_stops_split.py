@@ -7,14 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
+from stop_sampling import sample_stops, tightness
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.split import FIELDS, REWARD, TRIALS, certify, harm_of
+from stopset.reach.stops.split import FIELDS, REWARD, TRIALS, certify, harm_of, nearer
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, Tube
-from stopset.reach.stops.tubes import Knots, march_box
+from stopset.reach.stops.tubes import Knots, march_box, tubes_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import shipped
+from stop_arms_wide import random_arm
 
 PIECES, LASTS = 64, 0.3
 
@@ -75,3 +77,34 @@ def test_the_parts_hold_every_arm_of_the_whole() -> None:
             all(np.all(x[f] >= getattr(p, f"{f}_lo")) and np.all(x[f] <= getattr(p, f"{f}_hi")) for f in FIELDS)
             for p in march.closed
         )
+
+
+def test_where_bands_feed_on_each_other_the_nearer_proof_counts() -> None:
+    """A light arm of seven joints: one tube closes, its bands of speeds wider than any joint was fast, and goes up to four times as far as the
+    energy lets it."""
+    model = random_arm(7, 1)
+    s, rng = StopBounds.of(model, (0.0, 0.0)).setting, np.random.default_rng(1)
+    assert s is not None
+    r, v, ratios = s.noise.radius[:7], s.noise.radius[7:], []
+    for k in range(3):
+        start = Start(rng.uniform(-np.pi, np.pi, 7), rng.uniform(-1.0, 1.0, 7) * model.domain.dq.hi, r, v)
+        plain = march_box(s, s.plant, start, energetic=False)
+        (tube,) = tubes_of(s, start, 1)
+        assert plain.end == OK and tube.energetic
+        x = sample_stops(s.plant, start.q, start.dq, r, v, s.payload_com, tube, 40, k)
+        assert x.escaped == 0
+        ratios.append(tightness(tube, np.inf, x, start.dq, model.domain.dq.hi).angle)
+    assert np.median(np.concatenate(ratios)) < 1.4  # the tubes of joint speeds alone: 2
+
+
+def test_a_tube_of_joint_speeds_stays_where_the_energy_lets_the_arm_go_farther() -> None:
+    class Farther(Counted):
+        def __call__(self, plant: Plant, /, *, energetic: bool) -> Tube:
+            tube = super().__call__(plant, energetic=energetic)
+            wide = tube.v_hi.copy()
+            wide[1] = tube.v_lo[1] + 9.0  # as when bands feed on each other
+            return tube._replace(v_hi=wide, d_hi=tube.d_hi + (1.0 if energetic else 0.0))
+
+    march = Farther(widest=1.0)
+    tubes = nearer(march, march.setting.plant, cut(march))
+    assert [t.energetic for t in tubes] == [False] and march.energetic == 1

@@ -2,7 +2,15 @@
  * bits are the same: the wider instructions round as the others do, and no product and sum are contracted. */
 #ifndef STOPSET_WIDE_H
 #define STOPSET_WIDE_H
+#include <stdint.h>
 #include <string.h> /* says which C library this is */
+
+/* Four numbers at a time, in whatever instructions the machine has; numbers in a row may be seen so. */
+typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
+typedef int64_t Choice __attribute__((vector_size(32), aligned(8), may_alias));
+#define SIZES_OF(x) ((Four)((Choice)(x)&INT64_MAX))                    /* their sizes: the sign is a bit */
+#define CHOSEN(c, x, y) ((Four)(((c) & (Choice)(x)) | (~(c) & (Choice)(y)))) /* x where c, else y */
+
 #if defined(__x86_64__) && defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) && !defined(STOPSET_NARROW)
 #define STOPSET_WIDE __attribute__((target_clones("avx2", "default")))
 #else

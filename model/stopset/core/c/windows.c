@@ -5,9 +5,7 @@
 #include "stopset.h"
 #include "wide.h"
 
-/* Four numbers at a time, in whatever instructions the machine has; eight keep its arithmetic busy. */
-typedef double Four __attribute__((vector_size(32)));
-typedef int64_t Choice __attribute__((vector_size(32)));
+/* Four numbers at a time; eight keep the machine's arithmetic busy. */
 enum { WIDE = 4, UNITS = 2, BLOCK = WIDE * UNITS };
 
 static inline void load(Four *to, const double *x) { memcpy(to, x, sizeof *to); }

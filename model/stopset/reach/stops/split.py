@@ -19,6 +19,7 @@ from stopset.types import Array
 FIELDS = ("delay", "rise", "brake")
 TRIALS = 15  # tubes that are tried while none comes to rest
 REWARD = 3  # more for each that does: cutting then helps
+BLURRED = 0.5  # [rad/s] by which a band of speeds may be wider than the fastest joint was before the energy is asked too
 
 
 def harm_of(plant: Plant, q: Array, lasts: float) -> Array:
@@ -67,7 +68,7 @@ def certify(march: March, plant: Plant, q: Array, lasts: float, pieces: int, *, 
 
     At most ``pieces`` tubes are kept, and no more tried than `TRIALS` and `REWARD` for each that came to rest: where the first ones
     do not, the rest seldom does. The part that can do most harm is tried first. Where that does not suffice there is, as a
-    ``last_resort``, one tube with the help of the kinetic energy, which is looser. If that fails too the only tube is not OK.
+    ``last_resort``, one tube with the help of the kinetic energy. If that fails too the only tube is not OK.
     """
     order = count()
     todo: list[tuple[float, int, Plant]] = [(0.0, next(order), plant)]
@@ -85,3 +86,27 @@ def certify(march: March, plant: Plant, q: Array, lasts: float, pieces: int, *, 
             for half in halves(part, q, lasts):
                 heappush(todo, (-float(harm_of(half, q, lasts).max()), next(order), half))
     return done
+
+
+def nearer(march: March, plant: Plant, tubes: list[Tube]) -> list[Tube]:
+    """``tubes`` of ``plant`` that came to rest, or one with the help of the kinetic energy where that lets the arm go less far.
+
+    It is asked where bands of speeds have fed on each other though they closed: there the energy often knows more.
+    """
+    if not any(map(_blurred, tubes)):
+        return tubes
+    whole = march(plant, energetic=True)
+    less = np.mean(_reach(whole) / np.max([_reach(t) for t in tubes], axis=0)) < 1.0
+    return [whole] if whole.end == OK and less else tubes
+
+
+def _blurred(tube: Tube) -> bool:
+    """Whether bands of speeds have fed on each other."""
+    fastest = max(float(np.abs(tube.v_lo[0]).max()), float(np.abs(tube.v_hi[0]).max()))
+    return float(np.max(tube.v_hi - tube.v_lo)) > fastest + BLURRED
+
+
+def _reach(tube: Tube) -> Array:
+    """(n,) [rad] how far each joint gets, no less than a hair."""
+    out: Array = np.maximum(np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0)), 1e-9)
+    return out

@@ -11,7 +11,7 @@ from stopset.core.library import lib
 from stopset.reach.stops.friction import Friction
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
-from stopset.reach.stops.split import certify
+from stopset.reach.stops.split import certify, nearer
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Stride, Tube, march
 from stopset.reach.stops.windows import windows
@@ -135,7 +135,8 @@ def tubes_of(
     """Tubes that together hold all stops from the states of ``start``; the last is not OK if that failed.
 
     Up to ``pieces`` of them, for every window of the brakes' common delay; with one piece the delays are taken as independent.
-    ``last_resort``: whether the kinetic energy may have to bound it; ``fast``: few windows and coarse steps, for a loop.
+    ``last_resort``: whether the kinetic energy may have to bound it; ``fast``: few windows and coarse steps, for a loop, and the first
+    proof that there is.
     """
     lasts = expected_stop(setting.plant, start.q, start.fastest)
     knots = (FAST_KNOTS, FAST_ENERGY_KNOTS) if fast else (KNOTS, ENERGY_KNOTS)
@@ -148,8 +149,11 @@ def tubes_of(
     # the latest brakes are the hardest: what cannot be proved is known at once
     delay_spread = setting.delay_spread if pieces > 1 or fast else None
     for plant in reversed(windows(setting.plant, delay_spread, setting.lag, FAST_WINDOWS if fast else None)):
-        out += certify(one, plant, start.q, lasts, pieces, last_resort=last_resort)
-        if out[-1].end != OK:
+        part = certify(one, plant, start.q, lasts, pieces, last_resort=last_resort)
+        if part[-1].end == OK and last_resort and not (fast or part[-1].energetic):
+            part = nearer(one, plant, part)
+        out += part
+        if part[-1].end != OK:
             break
     return out
 

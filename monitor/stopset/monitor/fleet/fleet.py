@@ -9,8 +9,9 @@ from __future__ import annotations
 import re
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
@@ -23,6 +24,8 @@ LARGEST = 1 << 20  # bytes of a message
 MOST = 20_000  # arms; tokens of strangers do not fill the memory
 GONE = "NO DATA"
 ORDER = ("FAULT", "VIOLATION", GONE, "SHUTDOWN", "INIT", "UNKNOWN", "DEGRADED", "OK")  # what needs somebody first
+
+PLACE = {word: k for k, word in enumerate(ORDER)}
 
 SENT = {s.name for s in State} - {State.NEVER_SENT.name}
 
@@ -51,6 +54,7 @@ class _Arm:
     words: _Words | None = None
     heard: float = float("-inf")
     since: float = 0.0  # when its word changed last
+    place: list[tuple[int, str]] = field(default_factory=list)  # among arms of one word
 
 
 class Fleet:
@@ -90,15 +94,20 @@ class Fleet:
     def _arm(self, key: str) -> _Arm | None:
         name = plain(key.partition("/stopset/")[0])
         if name not in self._arms and len(self._arms) < MOST:
-            self._arms[name] = _Arm(since=self._clock())
+            self._arms[name] = _Arm(since=self._clock(), place=_counted(name))
         return self._arms.get(name)
 
     def rows(self) -> list[dict[str, Any]]:
         """One per arm, what needs somebody first; numbers only of an arm that speaks."""
+        return self._shown(None)[0]
+
+    def _shown(self, most: int | None) -> tuple[list[dict[str, Any]], Counter[str]]:
+        """The first ``most`` rows, and how many arms are in which state: a look at ten thousand arms makes the rows it shows only."""
         with self._lock:
             now = self._clock()
-            rows = [_row(name, arm, now) for name, arm in self._arms.items()]
-        return sorted(rows, key=lambda r: (ORDER.index(r["word"]), _counted(r["arm"])))
+            placed = [(_word(arm, now), arm, name) for name, arm in self._arms.items()]
+            placed.sort(key=lambda p: (PLACE[p[0]], p[1].place))
+            return [_row(name, arm, now) for _, arm, name in placed[:most]], Counter(word for word, _, _ in placed)
 
     def row(self, name: str) -> dict[str, Any] | None:
         """Of one arm; None where nobody of that name was heard."""
@@ -108,9 +117,9 @@ class Fleet:
 
     def snapshot(self, most: int = 400) -> dict[str, Any]:
         """What the displays show: how many arms are in which state, and the first ``most`` of them."""
-        rows = self.rows()
-        counts = {word: n for word in ORDER if (n := sum(r["word"] == word for r in rows))}
-        return {"arms": len(rows), "counts": counts, "rows": rows[:most], "garbled": self.garbled, "notice": self._notice()}
+        rows, found = self._shown(most)
+        counts = {word: found[word] for word in ORDER if found[word]}
+        return {"arms": found.total(), "counts": counts, "rows": rows, "garbled": self.garbled, "notice": self._notice()}
 
 
 def _counted(name: str) -> list[tuple[int, str]]:
@@ -118,10 +127,15 @@ def _counted(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
 
 
+def _word(arm: _Arm, now: float) -> str:
+    """The state it may be believed to be in."""
+    return GONE if not arm.alive or arm.words is None or now - arm.heard > SILENT_S else arm.words.state
+
+
 def _row(name: str, arm: _Arm, now: float) -> dict[str, Any]:
     w, quiet = arm.words, now - arm.heard
     row: dict[str, Any] = {"arm": name, "since_s": round(now - arm.since, 1), "model": "", "class": "", "stops": {}}
-    if not arm.alive or w is None or quiet > SILENT_S:
+    if (word := _word(arm, now)) == GONE or w is None:
         why = (
             "its monitor is gone"
             if not arm.alive
@@ -132,5 +146,5 @@ def _row(name: str, arm: _Arm, now: float) -> dict[str, Any]:
         return row | {"word": GONE, "why": why}
     stops = {plain(k): {"time_s": s.time_s, "tcp_m": s.tcp_m} for k, s in list(w.stops.items())[:4]}
     return row | {
-        "word": w.state, "why": plain(w.why)[:200], "class": plain(w.violation_class)[:60], "model": plain(w.model_sha256)[:16], "stops": stops,
+        "word": word, "why": plain(w.why)[:200], "class": plain(w.violation_class)[:60], "model": plain(w.model_sha256)[:16], "stops": stops,
     }  # fmt: skip

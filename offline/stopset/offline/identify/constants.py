@@ -140,7 +140,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
-    ("cut intervals", split, "TRIALS REWARD"),
+    ("cut intervals", split, "TRIALS REWARD BLURRED"),
     ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES SLICE ANGLE_WEIGHT"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),

@@ -32,96 +32,118 @@ void stops_pivot(int n, double *A, int k, int into) {
 }
 
 /* Least of x / (1 + e) over |e| <= d. */
-static double least_over(double x, double d) {
-    const int up = x >= 0.0;
-    if (!up && !(d < 1.0)) return -STOPS_INF;
-    return x / (up ? 1.0 + d : 1.0 - d);
+static inline void least_over(const Four *x, const Four *d, Four *out) {
+    const Choice up = *x >= 0.0;
+    const Four none = {-STOPS_INF, -STOPS_INF, -STOPS_INF, -STOPS_INF}, by = CHOSEN(up, 1.0 + *d, 1.0 - *d);
+    *out = CHOSEN(up | (*d < 1.0), *x / by, none);
 }
 
-/* Torque of each joint: any sign that is possible (r), forward (f), backward (b); `later`: dry friction beyond the least. */
+/* Torque of each joint, any sign that is possible (r), and for each row of accelerations; which joints have rows forward and backward, and
+ * which are visited only where they move. Flags are all bits or none. */
 typedef struct {
-    double r_lo[SN], r_hi[SN], f_lo[SN], f_hi[SN], b_lo[SN], b_hi[SN], later[SN];
+    double r_lo[SN], r_hi[SN], of[RATES][SN], own[SN];
+    int64_t forward[SN], backward[SN], moves[SN];
 } Torque;
 
 static void torques(const Local *at, const Step *s, Torque *t) {
     const int n = at->n;
+    memset(t, 0, sizeof *t);
     for (int i = 0; i < n; i++) {
         double push = 0.0;
         for (int j = 0; j < n; j++)
             if (j != i) push += at->dM[i * n + j] * s->a_far[j];
-        t->f_lo[i] = s->s_lo[i] - push - s->B_hi[i];
-        t->f_hi[i] = s->s_hi[i] + push - (s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i]);
-        t->b_lo[i] = s->s_lo[i] - push + (s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i]);
-        t->b_hi[i] = s->s_hi[i] + push + s->B_hi[i];
-        t->later[i] = s->B_later[i] - s->B_lo[i];
-        const double own = at->dM[i * n + i] * s->a_far[i];
-        t->r_lo[i] = (s->plus[i] || !s->minus[i] ? t->f_lo[i] : t->b_lo[i]) - own;
-        t->r_hi[i] = (s->minus[i] ? t->b_hi[i] : t->f_hi[i]) + own;
+        const double f_lo = s->s_lo[i] - push - s->B_hi[i], f_hi = s->s_hi[i] + push - (s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i]);
+        const double b_lo = s->s_lo[i] - push + (s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i]), b_hi = s->s_hi[i] + push + s->B_hi[i];
+        const double later = s->B_later[i] - s->B_lo[i], own = at->dM[i * n + i] * s->a_far[i]; /* dry friction beyond the least */
+        const double of[RATES] = {f_lo, f_hi, b_lo, b_hi, f_hi - s->own_up[i], f_lo + s->own_down[i], b_hi - s->own_up[i], b_lo + s->own_down[i],
+                                  f_hi - (s->direction[i] >= 0.0 ? later : 0.0), b_lo + (s->direction[i] <= 0.0 ? later : 0.0)};
+        for (int row = 0; row < RATES; row++) t->of[row][i] = of[row];
+        t->r_lo[i] = (s->plus[i] || !s->minus[i] ? f_lo : b_lo) - own;
+        t->r_hi[i] = (s->minus[i] ? b_hi : f_hi) + own;
+        t->own[i] = at->dM[i * n + i];
+        t->forward[i] = -(int64_t)(s->zero[i] || s->plus[i]);
+        t->backward[i] = -(int64_t)(s->zero[i] || s->minus[i]);
+        t->moves[i] = -(int64_t)(s->plus[i] || s->minus[i]);
     }
 }
 
-/* The hull grows by the accelerations when exactly the joints `inside` move. */
-static void visit(const Local *at, const Step *s, const Torque *t, const double *A, const int *inside, double out[RATES][SN]) {
-    const int n = at->n;
-    for (int i = 0; i < n; i++) {
-        double lo = 0.0, hi = 0.0, rested;
-        if (!inside[i] && (s->plus[i] || s->minus[i])) continue; /* visited with i moving instead: the same equation */
+/* The hull grows by the accelerations when exactly the joints `inside` (all bits) move. A: transposed, stride SN. */
+STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, const int64_t *inside, double out[RATES][SN]) {
+    static const int of_backward[RATES] = {0, 0, 1, 1, 0, 0, 1, 1, 0, 1};
+    double diagonal[SN] = {0};
+    for (int i = 0; i < n; i++) diagonal[i] = A[i * SN + i];
+    for (int i = 0; i < n; i += LANES) {
+        const Choice place = {i, i + 1, i + 2, i + 3}, here = *(const Choice *)(inside + i), used = here | ~*(const Choice *)(t->moves + i);
+        const Choice flags[2] = {used & *(const Choice *)(t->forward + i), used & *(const Choice *)(t->backward + i)};
+        const Four own = *(const Four *)(diagonal + i);
+        Four lo = {0}, hi = {0};
         for (int j = 0; j < n; j++) {
-            if (j == i || !inside[j]) continue;
-            const double w = -A[i * n + j], least_of = w * t->r_lo[j], most_of = w * t->r_hi[j];
-            lo += w > 0.0 ? least_of : most_of;
-            hi += w > 0.0 ? most_of : least_of;
+            if (!inside[j]) continue;
+            const Four w = -*(const Four *)(A + j * SN + i), a = w * t->r_lo[j], b = w * t->r_hi[j], least_of = CHOSEN(w > 0.0, a, b), most_of = CHOSEN(w > 0.0, b, a);
+            const Choice other = place != j;
+            lo += (Four)((Choice)least_of & other);
+            hi += (Four)((Choice)most_of & other);
         }
-        /* a resting joint would start with this acceleration, were it to start */
-        const double w = inside[i] ? -A[i * n + i] : 1.0 / A[i * n + i];
-        if (!inside[i]) {
-            lo *= w;
-            hi *= w;
-        }
+        /* a resting joint would start with this acceleration, were it to start; else it is visited with i moving instead: the same equation */
+        const Four w = CHOSEN(here, -own, 1.0 / own);
+        lo = CHOSEN(here, lo, lo * w);
+        hi = CHOSEN(here, hi, hi * w);
         /* the joint's own inertia M_ii +- dM_ii scales its answer: a_i (1 + w d) = the rest, |d| <= dM_ii */
-        const double d = w * at->dM[i * n + i];
-        if (s->zero[i] || s->plus[i]) {
-            out[0][i] = least(out[0][i], least_over(lo + w * t->f_lo[i], d));
-            out[1][i] = most(out[1][i], -least_over(-hi - w * t->f_hi[i], d));
-            out[4][i] = most(out[4][i], -least_over(-hi - w * (t->f_hi[i] - s->own_up[i]), d));
-            out[5][i] = least(out[5][i], least_over(lo + w * (t->f_lo[i] + s->own_down[i]), d));
-            rested = s->direction[i] >= 0.0 ? t->later[i] : 0.0;
-            out[8][i] = most(out[8][i], -least_over(-hi - w * (t->f_hi[i] - rested), d));
-        }
-        if (s->zero[i] || s->minus[i]) {
-            out[2][i] = least(out[2][i], least_over(lo + w * t->b_lo[i], d));
-            out[3][i] = most(out[3][i], -least_over(-hi - w * t->b_hi[i], d));
-            out[6][i] = most(out[6][i], -least_over(-hi - w * (t->b_hi[i] - s->own_up[i]), d));
-            out[7][i] = least(out[7][i], least_over(lo + w * (t->b_lo[i] + s->own_down[i]), d));
-            rested = s->direction[i] <= 0.0 ? t->later[i] : 0.0;
-            out[9][i] = least(out[9][i], least_over(lo + w * (t->b_lo[i] + rested), d));
+        const Four d = w * *(const Four *)(t->own + i);
+        for (int row = 0; row < RATES; row++) {
+            const Four torque = w * *(const Four *)(t->of[row] + i), x = is_lower(row) ? lo + torque : -hi - torque;
+            Four found, *hull = (Four *)(out[row] + i);
+            least_over(&x, &d, &found);
+            if (!is_lower(row)) found = -found;
+            const Choice wider = flags[of_backward[row]] & (is_lower(row) ? found < *hull : found > *hull);
+            *hull = CHOSEN(wider, found, *hull);
         }
     }
+}
+
+/* `stops_pivot` of the transposed matrix, stride SN. */
+STOPSET_WIDE static void turn_over(int n, double *A, int k, int into) {
+    const double d = 1.0 / A[k * SN + k], s = into ? d : -d;
+    double row[SN], column[SN] = {0}, share[SN];
+    for (int i = 0; i < n; i++) {
+        row[i] = A[i * SN + k];
+        column[i] = A[k * SN + i];
+    }
+    for (int i = 0; i < SN; i++) share[i] = column[i] * d;
+    for (int j = 0; j < n; j++) /* row and column k too, which come anew below: no branch in the loops */
+        for (int i = 0; i < n; i += LANES) *(Four *)(A + j * SN + i) -= *(const Four *)(share + i) * row[j];
+    for (int i = 0; i < n; i++) {
+        A[k * SN + i] = column[i] * s;
+        A[i * SN + k] = row[i] * s;
+    }
+    A[k * SN + k] = -d;
 }
 
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
     const int n = at->n;
-    double A[SN * SN];
-    int inside[SN] = {0}, open[SN], count = 0;
+    double A[SN * SN] = {0};
+    int64_t inside[SN] = {0};
+    int open[SN], count = 0;
     Torque t;
     torques(at, s, &t);
     for (int row = 0; row < RATES; row++)
-        for (int i = 0; i < n; i++) out[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
-    memcpy(A, at->M, (size_t)(n * n) * sizeof *A);
+        for (int i = 0; i < SN; i++) out[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) A[j * SN + i] = at->M[i * n + j];
     for (int i = 0; i < n; i++) {
         if (!s->zero[i]) {
-            stops_pivot(n, A, i, 1);
-            inside[i] = 1;
+            turn_over(n, A, i, 1);
+            inside[i] = -1;
         } else if (s->plus[i] || s->minus[i])
             open[count++] = i;
     }
     for (int64_t subset = 0;;) {
-        visit(at, s, &t, A, inside, out);
+        visit(n, &t, A, inside, out);
         if (++subset >= (int64_t)1 << count) break;
         int bit = 0;
         while (!((subset >> bit) & 1)) bit++;
-        stops_pivot(n, A, open[bit], !inside[open[bit]]);
-        inside[open[bit]] = !inside[open[bit]];
+        turn_over(n, A, open[bit], !inside[open[bit]]);
+        inside[open[bit]] = ~inside[open[bit]];
     }
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < n; i++) {

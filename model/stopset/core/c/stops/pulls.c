@@ -9,7 +9,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "../wide.h"
 #include "stops.h"
 
 enum { CLAIMS = STOPSET_PULL_CLAIMS };
@@ -43,52 +42,47 @@ typedef struct {
     double lo[SN], hi[SN], scale[SN], loose[SN], beyond[SN];
 } Rows;
 
-static inline double sum_of(const double *x) { return (x[0] + x[1]) + (x[2] + x[3]); }
-
 STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
     for (int i = 0; i < n; i += LANES) {
-        double lo[LANES] = {0}, hi[LANES] = {0}, scale[LANES] = {0}, loose[LANES] = {0}, beyond[LANES] = {0};
+        Four lo = {0}, hi = {0}, scale = {0}, loose = {0}, beyond = {0};
         for (int j = 0; j < n; j++) {
-            const double *w = A->value + j * SN + i, low = x->lo[j], high = x->hi[j];
-            for (int l = 0; l < LANES; l++) {
-                const double a = w[l] * low, b = w[l] * high, size = size_of(w[l]);
-                lo[l] += w[l] > 0.0 ? a : b;
-                hi[l] += w[l] > 0.0 ? b : a;
-                scale[l] += size * x->size[j];
-                loose[l] += size * x->loose[j];
-                beyond[l] += size * x->beyond[j];
-            }
+            const Four w = *(const Four *)(A->value + j * SN + i), a = w * x->lo[j], b = w * x->hi[j], size = SIZES_OF(w);
+            const Choice up = w > 0.0;
+            lo += CHOSEN(up, a, b);
+            hi += CHOSEN(up, b, a);
+            scale += size * x->size[j];
+            loose += size * x->loose[j];
+            beyond += size * x->beyond[j];
         }
-        memcpy(out->lo + i, lo, sizeof lo);
-        memcpy(out->hi + i, hi, sizeof hi);
-        memcpy(out->scale + i, scale, sizeof scale);
-        memcpy(out->loose + i, loose, sizeof loose);
-        memcpy(out->beyond + i, beyond, sizeof beyond);
+        *(Four *)(out->lo + i) = lo;
+        *(Four *)(out->hi + i) = hi;
+        *(Four *)(out->scale + i) = scale;
+        *(Four *)(out->loose + i) = loose;
+        *(Four *)(out->beyond + i) = beyond;
     }
 }
 
 /* By slopes: what one angle or the payload does to the middle of all of row i, and what is beyond; with either of two boxes of its own number. */
 STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
-    out[0] = out[1] = 0.0;
+    Four first = {0}, second = {0};
     for (int g = 0; g < groups_of(n); g++) {
-        const double(*slope)[LANES] = A->slope[g], *own = slope[pair(i, i)];
-        double turn[LANES] = {0}, spread[LANES] = {0}, first[LANES], second[LANES];
-        for (int j = 0; j < n; j++) {
-            if (j == i) continue;
-            const double *e = slope[j < i ? pair(j, i) : pair(i, j)], middle = x->mid[j], away = x->rad[j];
-            for (int l = 0; l < LANES; l++) {
-                turn[l] += e[l] * middle;
-                spread[l] += size_of(e[l]) * away;
-            }
+        const Four *slope = A->slope[g], own = slope[pair(i, i)], size = SIZES_OF(own);
+        Four turn = {0}, spread = {0};
+        for (int j = 0; j < i; j++) {
+            const Four e = slope[pair(j, i)];
+            turn += e * x->mid[j];
+            spread += SIZES_OF(e) * x->rad[j];
         }
-        for (int l = 0; l < LANES; l++) {
-            const double size = size_of(own[l]);
-            first[l] = size_of(turn[l] + own[l] * mid[0]) + (spread[l] + size * rad[0]);
-            second[l] = size_of(turn[l] + own[l] * mid[1]) + (spread[l] + size * rad[1]);
+        for (int j = i + 1; j < n; j++) {
+            const Four e = slope[pair(i, j)];
+            turn += e * x->mid[j];
+            spread += SIZES_OF(e) * x->rad[j];
         }
-        out[0] += sum_of(first);
-        out[1] += sum_of(second);
+        first += SIZES_OF(turn + own * mid[0]) + (spread + size * rad[0]);
+        second += SIZES_OF(turn + own * mid[1]) + (spread + size * rad[1]);
     }
+    out[0] = sum_of(&first);
+    out[1] = sum_of(&second);
 }
 
 /* How far a row is from that at the entries' middle. */

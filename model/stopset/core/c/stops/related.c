@@ -9,47 +9,49 @@
  */
 #include <string.h>
 
-#include "../wide.h"
 #include "stops.h"
 
 typedef struct {
     int n, inside[SN], open[SN], count, fits;
-    Along start;                                   /* M */
-    double push[SN], beyond[SN];                   /* torques of its change, and of what is beyond slopes, at claimed accelerations */
-    double speeds[SN * SN], turns[SN * SLOPES];    /* h: columns of nu; of delta and s */
-    double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN], known[SN], own[RATES][SN]; /* r less the middle of h; sizes of columns; of joint i itself */
+    Along start;                                    /* M */
+    double push[SN], beyond[SN];                    /* torques of its change, and of what is beyond slopes, at claimed accelerations */
+    double speeds[SN * SLOPES], turns[SN * SLOPES]; /* h: columns of nu; of delta and s */
+    double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN], own[RATES][SN]; /* r less the middle of h; of joint i itself */
+    double sized[SN], all[SN];                                       /* sizes of columns and push; with the largest of r */
     const Step *s;
     double (*out)[SN], shared;
 } Relation;
 
 STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
     const double d = 1.0 / A->own[k], *row = A->value + k * SN;
-    double share[SN], bent[SN][LANES];
+    const int lanes = groups_of(n) * LANES;
+    double share[SN];
+    Four bent[SN], old[SN];
     for (int j = 0; j < SN; j++) share[j] = row[j] * d; /* zero for k itself: no branch in the loops */
     for (int i = 0; i < n; i++) {
         const double b = share[i];
         B->own[i] = A->own[i] - b * row[i];
-        for (int j = 0; j < SN; j++) B->value[i * SN + j] = A->value[i * SN + j] - b * row[j];
+        for (int j = 0; j < lanes && j < SN; j += LANES)
+            *(Four *)(B->value + i * SN + j) = *(const Four *)(A->value + i * SN + j) - b * *(const Four *)(row + j);
         B->value[i * SN + i] = 0.0;
         B->value[i * SN + k] = b;
     }
     memcpy(B->value + k * SN, share, sizeof share);
     B->own[k] = -d;
     for (int g = 0; g < groups_of(n); g++) {
-        const double(*a)[LANES] = A->slope[g], *p = a[pair(k, k)];
-        double(*x)[LANES] = B->slope[g];
-        for (int j = 0; j < n; j++)
-            for (int l = 0; l < LANES; l++) bent[j][l] = a[j < k ? pair(j, k) : pair(k, j)][l] - share[j] * p[l];
-        for (int i = 0; i < n; i++) {
-            const double b = share[i];
-            for (int j = 0; j <= i; j++) {
-                const double c = share[j], *e = a[j < k ? pair(j, k) : pair(k, j)], *old = a[pair(j, i)];
-                for (int l = 0; l < LANES; l++) x[pair(j, i)][l] = old[l] - (c * bent[i][l] + b * e[l]);
-            }
+        const Four *a = A->slope[g], p = a[pair(k, k)];
+        Four *x = B->slope[g];
+        for (int j = 0; j < n; j++) {
+            old[j] = a[j < k ? pair(j, k) : pair(k, j)];
+            bent[j] = old[j] - share[j] * p;
         }
-        for (int j = 0; j < n; j++)
-            for (int l = 0; l < LANES; l++) x[j < k ? pair(j, k) : pair(k, j)][l] = d * bent[j][l];
-        for (int l = 0; l < LANES; l++) x[pair(k, k)][l] = d * d * p[l];
+        for (int i = 0; i < n; i++) {
+            const Four of_i = bent[i];
+            const double b = share[i];
+            for (int j = 0; j <= i; j++) x[pair(j, i)] = a[pair(j, i)] - (share[j] * of_i + b * old[j]);
+        }
+        for (int j = 0; j < n; j++) x[j < k ? pair(j, k) : pair(k, j)] = d * bent[j];
+        x[pair(k, k)] = d * d * p;
     }
 }
 
@@ -58,31 +60,24 @@ typedef struct {
     double spread, columns, scale, own;
 } Turned;
 
-static inline double sum_of(const double *x) { return (x[0] + x[1]) + (x[2] + x[3]); }
-
 STOPSET_WIDE static Turned turned(const Along *A, int i, const Relation *x) {
     const int n = x->n;
     Turned out = {0.0, 0.0, 0.0, 0.0};
     for (int g = 0; g < groups_of(n); g++) {
-        double turn[LANES] = {0}, spread[LANES] = {0}, scale[LANES] = {0}, own[LANES] = {0};
+        const Four *slope = A->slope[g], *column = (const Four *)(x->turns + g * LANES), self = slope[pair(i, i)], own = SIZES_OF(self);
+        Four turn = column[i * GROUPS] * -A->own[i] + self * x->r_mid[i], spread = own * x->sized[i], scale = own * x->all[i];
         for (int j = 0; j < n; j++) {
-            if (j != i && !x->inside[j]) continue;
-            const double *e = A->slope[g][j < i ? pair(j, i) : pair(i, j)], *column = x->turns + j * SLOPES + g * LANES;
-            const double v = j == i ? -A->own[i] : -A->value[i * SN + j], all = most(size_of(x->r_lo[j]), size_of(x->r_hi[j])) + x->known[j] + x->push[j];
-            const double loose = x->known[j] + x->push[j] + (j == i ? 0.0 : x->r_rad[j]), middle = x->r_mid[j], self = j == i ? 1.0 : 0.0;
-            for (int l = 0; l < LANES; l++) {
-                const double size = size_of(e[l]);
-                turn[l] += v * column[l] + e[l] * middle;
-                spread[l] += size * loose;
-                scale[l] += size * all;
-                own[l] += size * self;
-            }
+            if (j == i || !x->inside[j]) continue;
+            const Four e = slope[j < i ? pair(j, i) : pair(i, j)], size = SIZES_OF(e);
+            turn += column[j * GROUPS] * -A->value[i * SN + j] + e * x->r_mid[j];
+            spread += size * (x->sized[j] + x->r_rad[j]);
+            scale += size * x->all[j];
         }
-        for (int l = 0; l < LANES; l++) turn[l] = size_of(turn[l]);
-        out.spread += sum_of(spread);
-        out.columns += sum_of(turn);
-        out.scale += sum_of(scale);
-        out.own += sum_of(own);
+        turn = SIZES_OF(turn);
+        out.spread += sum_of(&spread);
+        out.columns += sum_of(&turn);
+        out.scale += sum_of(&scale);
+        out.own += sum_of(&own);
     }
     return out;
 }
@@ -92,19 +87,24 @@ STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
     const int n = x->n;
     const double w = -A->own[i];
     const Turned slopes = turned(A, i, x);
-    double lo = 0.0, hi = 0.0, spread = slopes.spread, scale = 1.0 + slopes.scale, speed[SN] = {0};
+    double lo = 0.0, hi = 0.0, spread = slopes.spread + slopes.columns, scale = 1.0 + slopes.scale;
+    for (int g = 0; g < groups_of(n); g++) {
+        const Four *column = (const Four *)(x->speeds + g * LANES);
+        Four speed = column[i * GROUPS] * w;
+        for (int j = 0; j < n; j++)
+            if (j != i && x->inside[j]) speed += column[j * GROUPS] * -A->value[i * SN + j];
+        speed = SIZES_OF(speed);
+        spread += sum_of(&speed);
+    }
     for (int j = 0; j < n; j++) {
         if (j != i && !x->inside[j]) continue;
-        const double v = j == i ? w : -A->value[i * SN + j], *column = x->speeds + j * SN;
-        for (int k = 0; k < SN; k++) speed[k] += v * column[k];
+        const double v = j == i ? w : -A->value[i * SN + j];
         spread += size_of(v) * x->beyond[j];
-        scale += size_of(v) * (most(size_of(x->r_lo[j]), size_of(x->r_hi[j])) + x->known[j] + x->push[j]);
+        scale += size_of(v) * x->all[j];
         if (j == i) continue;
         lo += v > 0.0 ? v * x->r_lo[j] : v * x->r_hi[j];
         hi += v > 0.0 ? v * x->r_hi[j] : v * x->r_lo[j];
     }
-    for (int k = 0; k < n; k++) spread += size_of(speed[k]);
-    spread += slopes.columns;
     if (!(w > slopes.own)) x->fits = 0; /* else not even the sign of its own answer is known */
     spread = x->shared * spread + stopset_rate_rounding * scale;
     for (int rate = 0; rate < RATES; rate++) {
@@ -193,7 +193,7 @@ static void coriolis(const Expansion *E, const Local *at, int i, Relation *x, do
                 turns[l] += slope * at->rad[l] * c * b;
             }
             turns[n] += E->Gammap[ik] * c * b;
-            x->speeds[i * SN + k] += 2.0 * G * b * r;
+            x->speeds[i * SLOPES + k] += 2.0 * G * b * r;
             *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
             *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ik])) * spread;
             *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
@@ -205,7 +205,7 @@ static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, 
     const int n = at->n;
     const Step *s = x->s;
     double middle = E->g[i], rest = 0.0;
-    memset(x->speeds + i * SN, 0, SN * sizeof(double));
+    memset(x->speeds + i * SLOPES, 0, SLOPES * sizeof(double));
     memset(x->turns + i * SLOPES, 0, SLOPES * sizeof(double));
     for (int k = 0; k < n; k++) {
         double bend = 0.0;
@@ -226,9 +226,10 @@ static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, 
     x->r_hi[i] = s->minus[i] ? own[3] : own[1];
     x->r_mid[i] = 0.5 * (x->r_lo[i] + x->r_hi[i]);
     x->r_rad[i] = 0.5 * (x->r_hi[i] - x->r_lo[i]);
-    x->known[i] = 0.0;
-    for (int k = 0; k < n; k++) x->known[i] += size_of(x->speeds[i * SN + k]);
-    for (int l = 0; l <= n; l++) x->known[i] += size_of(x->turns[i * SLOPES + l]);
+    x->sized[i] = x->push[i];
+    for (int k = 0; k < n; k++) x->sized[i] += size_of(x->speeds[i * SLOPES + k]);
+    for (int l = 0; l <= n; l++) x->sized[i] += size_of(x->turns[i * SLOPES + l]);
+    x->all[i] = most(size_of(x->r_lo[i]), size_of(x->r_hi[i])) + x->sized[i];
 }
 
 /* `out` of stops_accelerations cut to what is known so; left as it is where nothing is. */

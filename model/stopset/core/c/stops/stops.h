@@ -4,6 +4,7 @@
 #include <math.h>
 
 #include "../stopset.h"
+#include "../wide.h"
 
 enum { SN = STOPSET_STOP_JOINTS, PAIRS = SN * (SN + 1) / 2 };
 
@@ -77,8 +78,10 @@ void stops_pivot(int n, double *A, int k, int into);
  * stride SN and the diagonal zero, then those on it; slopes by pair(i, j), LANES of them side by side. What is beyond n is zero. */
 enum { LANES = 4, GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
 typedef struct {
-    double own[SN], value[SN * SN], slope[GROUPS][PAIRS][LANES];
+    double own[SN], value[SN * SN];
+    Four slope[GROUPS][PAIRS];
 } Along;
+static inline double sum_of(const Four *x) { return ((*x)[0] + (*x)[1]) + ((*x)[2] + (*x)[3]); }
 static inline int groups_of(int n) { return (n + LANES) / LANES; }
 /* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.
  * Then: B is A with joint k inside as stops_pivot does it, slopes along. */

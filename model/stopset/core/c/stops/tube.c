@@ -12,10 +12,11 @@
 #include "stops.h"
 
 enum { OK, ENDLESS, UNBOUNDED };
-enum { PASSES = STOPSET_TUBE_PASSES };
+enum { PASSES = STOPSET_TUBE_PASSES, FEW_PASSES = 20 }; /* where there are caps to fall back on, what has not closed by then hardly ever does */
 const double stopset_tube_recentre = 0.01;
 const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0, .held = 1.0};
 
+enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy does not fall */
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
 typedef struct {
@@ -195,7 +196,7 @@ static void torques(March *m, const double *lo, const double *hi) {
 static int verify(March *m, int64_t k) {
     const int n = m->n;
     const double *v_lo = m->tube->v_lo + k * n, *v_hi = m->tube->v_hi + k * n, *d_lo = m->tube->d_lo + k * n, *d_hi = m->tube->d_hi + k * n;
-    for (int attempt = 0; attempt < PASSES; attempt++) {
+    for (int attempt = 0; attempt < (m->energetic ? FEW_PASSES : PASSES); attempt++) {
         claimed_speeds(m, v_lo, v_hi);
         for (int i = 0; i < n; i++) {
             m->x_lo[i] = m->q_lo[i] + d_lo[i] + m->h * least(0.0, m->w_lo[i]) - m->E.q[i];
@@ -440,7 +441,8 @@ static double step_from(double now, double closing, double engaged, double h, do
 static int march(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h, double brief,
                  int64_t steps, const StopsetParts *parts, int energetic, int related, const StopsetTube *tube, int64_t *made) {
     const int n = plant->arm.n;
-    double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0;
+    double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0, lowest = STOPS_INF;
+    int idle = 0;
     March m;
     memset(&m, 0, sizeof m);
     m.p = plant;
@@ -484,15 +486,32 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
         }
         if (!(widest < fastest)) return UNBOUNDED;
         if (now >= engaged && held(&m, k)) return OK; /* from now on nothing changes any more */
+        idle = now < engaged || m.energy.y < lowest ? 0 : idle + 1;
+        lowest = now < engaged ? STOPS_INF : least(lowest, m.energy.y);
+        if (idle > most_idle && energetic) return ENDLESS; /* brakes gain no more torque: what they do not slow now falls on */
     }
     *made = steps;
     return ENDLESS;
+}
+
+/* Share of the time from when the first brake may close until all have that rows for themselves must last for columns to be worth their cost: of
+ * tubes that these close, all but a few lasted that long. */
+static const double lasting = 0.75;
+
+/* Whether a tube that ended at time t lasted so. */
+static int lasted(const StopsetPlant *p, double t) {
+    double closing = STOPS_INF, engaged = -STOPS_INF;
+    for (int i = 0; i < p->arm.n; i++) {
+        closing = least(closing, p->delay_lo[i]);
+        engaged = most(engaged, p->delay_hi[i] + p->rise_hi[i]);
+    }
+    return t >= closing + lasting * (engaged - closing);
 }
 
 int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h,
                       double brief, int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
     if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
     const int end = march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, energetic, energetic, tube, made);
-    if (end == OK || energetic) return end;
+    if (end == OK || energetic || !lasted(plant, tube->t[*made])) return end;
     return march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, 0, 1, tube, made);
 }
