@@ -12,7 +12,7 @@ of stopset at its first try, and of least squares on the same rows with base par
 and an offset per joint, without and with load-dependent and cubic friction.  Where identification finds that the torque was low-passed
 before it was recorded, stopset's model passes that filter; least squares is given both ways.  Where the torque is compensated (there is
 nothing to regress), even repetitions are fitted, odd ones judge, and the error is that of the position simulated from each trial's start
-for 5 s, mean of squares over the joints, before and after all that the diagnosis names is added.  Coverage: how many blocks of 2.5 s of what was
+for 5 s, root of the mean square over the joints.  Coverage: how many blocks of 2.5 s of what was
 not fitted leave the identified sets.
 """
 
@@ -212,16 +212,9 @@ def diagnosed(model: Path, fit: Path, work: Path) -> dict[str, Any]:
 
 
 def by_position(model: Path, paths: dict[str, Path], work: Path, text: str) -> dict[str, Any]:
-    """Compensated torque: errors of the simulated position on what judges, before and after all that is named is added."""
-    found, before = compared(model, paths["test"], work)
-    out = found | diagnosed(model, paths["fit"], work) | {"tightness": median(text), "position": [round(before, 4)]}
-    revised = work / "revised.model.json"
-    words = ("add", str(model), *out["effects"], "--data", str(paths["fit"]), "--out", str(revised))
-    code, said, out["add seconds"] = stopset(*words) if out["effects"] else (1, "nothing is named", 0.0)
-    if code:
-        return out | {"add": said.strip().splitlines()[-1]}
-    again, after = compared(revised, paths["test"], work)
-    return out | {"position": [round(before, 4), round(after, 4)], "left, revised": again["left"], "U, revised": again["U"]}
+    """Compensated torque: the error of the simulated position on what judges, and what the other commands say."""
+    found, error = compared(model, paths["test"], work)
+    return found | diagnosed(model, paths["fit"], work) | {"tightness": median(text), "position": error}
 
 
 def table(results: Sequence[dict[str, Any]]) -> str:
@@ -245,13 +238,9 @@ def table(results: Sequence[dict[str, Any]]) -> str:
             "stopset",
         )
         errors = [sum(r[k]) if k in r else float("nan") for k in names]
-        held_out = (
-            " / ".join(f"{e:.2f}" for e in errors) if "position" not in r else " -> ".join(f"{e} rad" for e in r["position"])
-        )
-        width = " -> ".join(f"{r[k]:.0f}" for k in ("U", "U, revised") if k in r) or "-"
-        left = " -> ".join(r[k] for k in ("left", "left, revised") if k in r) or "-"
+        held_out = f"{r['position']:.3f} rad" if "position" in r else " / ".join(f"{e:.2f}" for e in errors)
         cells = (
-            r["robot"], r["inspect"], r["identify"], held_out, f"{r.get('tightness', '-')}, {width}", left,
+            r["robot"], r["inspect"], r["identify"], held_out, f"{r.get('tightness', '-')}, {r.get('U', float('nan')):.0f}", r.get("left", "-"),
             f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}",
             f"{r['inspect seconds']:.0f}, {r['identify seconds']:.0f}, {r.get('compare seconds', 0):.0f}, {r.get('diagnose seconds', 0):.0f}",
         )  # fmt: skip
