@@ -239,8 +239,9 @@ def table(results: Sequence[dict[str, Any]]) -> str:
         )
         errors = [f"{sum(r[k]):.2f}" if k in r else "-" for k in names]
         held_out = f"{r['position']:.3f} rad" if "position" in r else " / ".join(errors)
+        width = f"{r['U']:.0f}" if "U" in r else "-"
         cells = (
-            r["robot"], r["inspect"], r["identify"], held_out, f"{r.get('tightness', '-')}, {format(r['U'], '.0f') if 'U' in r else '-'}", r.get("left", "-"),
+            r["robot"], r["inspect"], r["identify"], held_out, f"{r.get('tightness', '-')}, {width}", r.get("left", "-"),
             f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}",
             f"{r['inspect seconds']:.0f}, {r['identify seconds']:.0f}, {r.get('compare seconds', 0):.0f}, {r.get('diagnose seconds', 0):.0f}",
         )  # fmt: skip

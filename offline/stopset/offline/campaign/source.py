@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from stopset.errors import RecordingError
+from stopset.offline.campaign.survey import Survey, Tally, tallied
 from stopset.offline.campaign.trials import ReadOnce, Source
 from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.robot import Robot
+
+
+class Surveyed(NamedTuple):
+    """What one pass over a campaign finds; the stops are short and needed whole."""
+
+    tally: Tally
+    stops: tuple[Recording, ...]
+    survey: Survey
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +28,18 @@ class Campaign:
 
     meta: Meta
     trials: Source
+    _seen: list[Surveyed] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    @property
+    def seen(self) -> Surveyed:
+        """What is found in the trials, looked for once; who adds to the tally adds to a copy.
+
+        Raises `RecordingError` if no trial has powered motion.
+        """
+        if not self._seen:
+            tally, stops = tallied(self.trials)
+            self._seen.append(Surveyed(tally, tuple(stops), tally.survey()))
+        return self._seen[0]
 
 
 def campaign_of(robot: Robot, paths: Sequence[str | Path]) -> Campaign:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -24,7 +25,7 @@ from stopset.offline.campaign.map_reduce import TrialCounter, passing
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign, campaign_of
-from stopset.offline.campaign.survey import Tally, tallied
+from stopset.offline.campaign.survey import Tally
 from stopset.offline.campaign.trials import Pairs
 from stopset.offline.conform.bands import Bands, cut
 from stopset.offline.conform.bands import name as band_name
@@ -78,10 +79,9 @@ def identified(
     meta, source = campaign.meta, campaign.trials
     held_to_pinocchio(robot)
     progress("reading the recordings")
-    tally, stops = tallied(source)
+    tally, stops, found = campaign.seen
     if not chosen.mixed:
         one_condition(tally.conditions)
-    found = tally.survey()
     warnings = (*check_signals(robot, meta, found.sample), *check_files(robot, meta, source(), mixed=chosen.mixed))
     for text in warnings:
         progress(text)
@@ -113,7 +113,9 @@ def identified(
 
     def with_sets(asked: Settings, part: NominalPart) -> Identification:
         try:
-            return _with_sets(replace(run, settings=asked), part, progress, scheduler, tally if keep == "sums" else None)
+            return _with_sets(
+                replace(run, settings=asked), part, progress, scheduler, deepcopy(tally) if keep == "sums" else None
+            )
         except NotConformant as e:
             raise NotConformant("; ".join([str(e), *part.limited])) from e
 

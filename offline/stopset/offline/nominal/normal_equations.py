@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.effects import Effect, get
+from stopset.effects.base import Number
 from stopset.effects.selection import base
 from stopset.effects.signals import Samples, arm_signals
 from stopset.errors import EffectError, RecordingError
@@ -285,12 +286,18 @@ def friction_columns(
     raw: list[Array] = []
     for j, columns in enumerate(layout.columns):
         for effect in dict.fromkeys(c.effect for c in columns):
-            raw += [np.broadcast_to(np.asarray(c, float), m.t.shape) for c in effect.columns(signals[j])]
+            raw += [_column(c, m.t.shape) for c in effect.columns(signals[j])]
     smooth = m.smooth(np.column_stack(raw))[m.retained] if raw else np.zeros((len(m.retained), 0))
     edges = np.cumsum([0, *(len(c) for c in layout.columns)])
     out = [[smooth[:, k] for k in range(lo, hi)] for lo, hi in pairwise(edges)]
     load = np.column_stack([s.load for s in signals]) if "load" in needs else None
     return out, load
+
+
+def _column(values: Number, shape: tuple[int, ...]) -> Array:
+    """One law's column as numbers, one of each sample."""
+    x = np.asarray(values, float)
+    return x if x.shape == shape else np.broadcast_to(x, shape)
 
 
 def _add_pose(out: NormalEquations, robot: Robot, trials: list[Recording]) -> None:

@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +134,8 @@ def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | Non
             continue
         even = t[0] + step * np.arange(hi - lo)
         if np.abs(t - even).max() <= IRREGULAR * step:
-            yield even, r.q[lo:hi], r.tau[lo:hi], temp
+            whole = len(edges) == 2
+            yield even, r.q if whole else r.q[lo:hi], r.tau[lo:hi], temp
             continue
         from scipy.interpolate import CubicSpline  # half a second, for what few recordings need
 
@@ -144,20 +147,47 @@ def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | Non
         yield grid, q, tau, None if temp is None else np.column_stack([np.interp(grid, t, x) for x in temp.T])
 
 
+class _Moved(NamedTuple):
+    """The positions of an even piece: filtered, differentiated, and where its joints move; `PreparedMotion` says what is what."""
+
+    cutoff: float
+    q: Array
+    dq: Array
+    ddq: Array
+    moving: NDArray[np.bool_]
+
+
+# what positions give, for the next pass over the same recording: its torque may be another one then, its positions are not
+_known: dict[tuple[int, float, Preprocessing], tuple[ref[Array], Array, _Moved]] = {}
+
+
+def _moved(q: Array, h: float, settings: Preprocessing) -> _Moved:
+    """Of positions ``q`` (N, n) at a step of ``h`` [s]; remembered as long as the recording is."""
+    key = (id(q), h, settings)
+    if (found := _known.get(key)) is not None and found[0]() is q and np.array_equal(found[1], q):
+        return found[2]
+    cutoff = min(settings.cutoff, SLOWEST / h, band(q, h))
+    qf = zero_phase(low_pass(round(cutoff * h, 9)), q)
+    dq = derivative(qf, h)
+    out = _Moved(cutoff, qf, dq, derivative(dq, h), ~_dilated(np.abs(dq) < settings.still, _ring(cutoff * h)))
+    _known[key] = ref(q, lambda _: _known.pop(key, None)), q.copy(), out
+    return out
+
+
+def _ring(relative: float) -> int:
+    """Samples that a filter rings, for its cut-off relative to the sampling rate."""
+    return int(np.ceil(RINGING / relative))
+
+
 def motions(r: Recording, settings: Preprocessing) -> Iterator[PreparedMotion]:
     """The usable pieces of a moving trial, filtered and differentiated; short ones (under the filter's length) are left out."""
     for t, q, tau, temp in even_pieces(r):
         h = float(t[1] - t[0])
-        cutoff = min(settings.cutoff, SLOWEST / h, band(q, h))
-        sos = low_pass(round(cutoff * h, 9))
-        ring = int(np.ceil(RINGING / (cutoff * h)))
+        cutoff, qf, dq, ddq, moving = _moved(q, h, settings)
+        ring = _ring(cutoff * h)
         if len(t) < 6 * ring:
             continue
-        qf = zero_phase(sos, q)
-        dq = derivative(qf, h)
-        ddq = derivative(dq, h)
-        still = np.abs(dq) < settings.still
-        moving = ~_dilated(still, ring)
+        sos = low_pass(round(cutoff * h, 9))
         every = max(1, round(1 / (h * settings.rate)))
         edge = 2 * ring
         if narrow := 0.0 < settings.low_pass < cutoff:

@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from stopset.effects.base import Fitted
 from stopset.offline.abstraction.metrics import joint_figures
 from stopset.offline.abstraction.nominal_part import fit_nominal, pairs_of, roller
-from stopset.offline.campaign.hold_out import HoldOut
+from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.run import Run
-from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
-from stopset.offline.campaign.survey import survey
+from stopset.offline.campaign.survey import Survey, survey
+from stopset.offline.campaign.trials import Source
 from stopset.offline.nominal.low_pass import recorded_low_pass
+from stopset.recording import Meta
 from stopset.robot import Robot
 
 
+@dataclass(frozen=True, slots=True)
+class Halves:
+    """Trials to fit and trials that judge, each with its survey in the session of the whole; ``words``: what judges, for people."""
+
+    fitted: Source
+    learnt: Survey
+    judging: Source
+    judged: Survey
+    words: str
+
+
+def halves(campaign: Campaign) -> Halves:
+    """The division of a campaign in which a nominal model is judged."""
+    whole = campaign.seen.survey
+    division = hold_out(whole)
+    fitted, judging = division.to_fit(campaign.trials), division.to_judge(campaign.trials)
+    learnt, judged = (replace(survey(half), session=whole.session) for half in (fitted, judging))
+    return Halves(fitted, learnt, judging, judged, division.words)
+
+
 def nominal_figures(
-    robot: Robot, campaign: Campaign, settings: Settings, division: HoldOut, session: Session, known: tuple[Fitted, ...] = ()
+    robot: Robot, meta: Meta, parts: Halves, settings: Settings, known: tuple[Fitted, ...] = ()
 ) -> dict[str, dict[str, Any]]:
-    """Errors per joint, on what judges by the ``division``, of a nominal model fitted to the rest alone."""
-    meta, fitted, judging = campaign.meta, division.to_fit(campaign.trials), division.to_judge(campaign.trials)
-    found = replace(survey(fitted), session=session)
+    """Errors per joint, on what judges, of a nominal model fitted to the rest alone."""
+    found = parts.learnt
     if meta.effort != "compensated_torque":
         found = replace(found, low_pass=recorded_low_pass(robot, found.sample))
-    nominal = fit_nominal(Run(robot, meta, fitted, found, settings), known)
-    judged = replace(survey(judging), session=session)
-    pairs = pairs_of(judging, judged, nominal, meta.effort)
-    return joint_figures(pairs, nominal.abstraction, robot.joints, judged.dt, roller(nominal, meta.effort, judged))
+    nominal = fit_nominal(Run(robot, meta, parts.fitted, found, settings), known)
+    pairs = pairs_of(parts.judging, parts.judged, nominal, meta.effort)
+    return joint_figures(pairs, nominal.abstraction, robot.joints, parts.judged.dt, roller(nominal, meta.effort, parts.judged))

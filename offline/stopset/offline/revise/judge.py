@@ -17,17 +17,14 @@ from stopset.effects import get
 from stopset.effects.base import Fitted
 from stopset.effects.selection import parse_effect
 from stopset.errors import RecordingError
-from stopset.offline.campaign.hold_out import HoldOut
-from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
-from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.compensated import OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import settled
 from stopset.offline.diagnose.question import question
-from stopset.offline.revise.held_out import nominal_figures
+from stopset.offline.revise.held_out import Halves, nominal_figures
 from stopset.progress import Progress
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -71,13 +68,12 @@ class Judge:
     model: Model
     robot: Robot
     campaign: Campaign
-    division: HoldOut
-    session: Session
+    halves: Halves
     progress: Progress
 
     def simulated(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
         """Errors of the nominal model fitted to one part of the recordings, on the other."""
-        return _flat(nominal_figures(self.robot, self.campaign, settings, self.division, self.session, known))
+        return _flat(nominal_figures(self.robot, self.campaign.meta, self.halves, settings, known))
 
 
 def by_simulation(
@@ -112,7 +108,7 @@ def by_simulation(
             settings, errors = more, after
     retained = retained_effects(judge.model)
     known = found.with_claims(retained, order) if found else retained
-    return Judgement(tuple(judged), start, settings, known, judge.division.words)
+    return Judgement(tuple(judged), start, settings, known, judge.halves.words)
 
 
 def _named_by_simulation(judge: Judge, names: Sequence[str]) -> OpenLoop | None:
@@ -121,7 +117,7 @@ def _named_by_simulation(judge: Judge, names: Sequence[str]) -> OpenLoop | None:
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
     joints = {joint for name in names for joint in parse_effect(name, judge.robot)[1]}
     try:
-        return search_open_loop(judge.model, recordings, survey(lambda: recordings.trials), judge.progress, joints=joints)
+        return search_open_loop(judge.model, recordings, judge.campaign.seen.survey, judge.progress, joints=joints)
     except RecordingError:
         return None
 

@@ -18,13 +18,12 @@ from stopset.artifact import Model, Revision
 from stopset.effects.selection import parse_effect
 from stopset.errors import EffectError, NotConformant, NotCovered
 from stopset.offline.campaign.conditions import one_condition
-from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.source import Campaign
-from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.identify.pipeline import Keep, identified
+from stopset.offline.revise.held_out import halves
 from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation, retained_effects
 from stopset.progress import Progress, silent
 from stopset.reach.stops import stop
@@ -70,9 +69,8 @@ def add(
     robot, settings = model.robot.as_described, settings_of(model)
     names = _names(effects, robot, settings)
     if not settings.mixed:
-        one_condition(r.condition for r in campaign.trials())
-    surveyed = survey(campaign.trials)
-    judge = Judge(model, robot, campaign, hold_out(surveyed), surveyed.session, progress)
+        one_condition(campaign.seen.tally.conditions)
+    judge = Judge(model, robot, campaign, halves(campaign), progress)
     first = _judged_before(model, campaign)
     verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force=force)
     taken = [j for j in verdict.judged if not j.why]

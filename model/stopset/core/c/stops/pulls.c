@@ -90,17 +90,17 @@ static double away(double loose, double spread, double scale, double shared) {
     return least(loose, shared * spread) + stopset_rate_rounding * (scale + loose);
 }
 
-/* Row i of a joint inside: its speed. */
+/* Row i of a joint inside: its speed. Its own entry is below zero: a pivot makes it so, others lower it. */
 static void read_speed(const Along *A, const Rows *rows, int i, Exchange *x) {
     const Met *met = &x->met;
-    const double own = A->own[i], a = own * met->lo[i], b = own * met->hi[i], size = size_of(own);
+    const double own = A->own[i], size = size_of(own);
     const double mid[2] = {met->mid[i], met->mid[i]}, rad[2] = {met->rad[i], met->rad[i]};
     double spread[2];
     sum_slopes(x->n, A, met, i, mid, rad, spread);
     const double off = away(rows->loose[i] + size * met->loose[i], spread[0] + (rows->beyond[i] + size * met->beyond[i]),
                             rows->scale[i] + size * met->size[i], x->shared);
-    x->out->lo[i] = most(x->out->lo[i], -(rows->hi[i] + (own > 0.0 ? b : a)) - off);
-    x->out->hi[i] = least(x->out->hi[i], -(rows->lo[i] + (own > 0.0 ? a : b)) + off);
+    x->out->lo[i] = most(x->out->lo[i], -(rows->hi[i] + own * met->lo[i]) - off);
+    x->out->hi[i] = least(x->out->hi[i], -(rows->lo[i] + own * met->hi[i]) + off);
 }
 
 /* Row i of another: how much momentum the others pull at it where it does not move forward, and where it does not move backward. */

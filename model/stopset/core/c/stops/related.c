@@ -24,14 +24,13 @@ typedef struct {
 
 STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
     const double d = 1.0 / A->own[k], *row = A->value + k * SN;
-    const int lanes = groups_of(n) * LANES;
     double share[SN];
     Four bent[SN], old[SN];
     for (int j = 0; j < SN; j++) share[j] = row[j] * d; /* zero for k itself: no branch in the loops */
     for (int i = 0; i < n; i++) {
         const double b = share[i];
         B->own[i] = A->own[i] - b * row[i];
-        for (int j = 0; j < lanes && j < SN; j += LANES)
+        for (int j = 0; j < n; j += LANES)
             *(Four *)(B->value + i * SN + j) = *(const Four *)(A->value + i * SN + j) - b * *(const Four *)(row + j);
         B->value[i * SN + i] = 0.0;
         B->value[i * SN + k] = b;
