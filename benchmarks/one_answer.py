@@ -47,12 +47,12 @@ def campaign(data: Recordings) -> Campaign:
     return Campaign(data.meta, lambda: iter(data.trials))
 
 
-def contradictions(robot: Robot, model: Model, data: Recordings, own: bool) -> dict[str, Any]:
-    """What was named, and every contradiction of it in words, by kind."""
+def contradictions(robot: Robot, model: Model, data: Recordings, own: bool, most: int | None = None) -> dict[str, Any]:
+    """What was named, and every contradiction of it in words, by kind; ``most``: so many of the names are asked for one by one."""
     found = diagnose_model(model, data)[0]
     named = [r for r in found.ranked if r.change is None]
     said: list[tuple[str, str]] = []
-    taken = [r for r in named if _added(model, data, [r], said, errors=r is named[0])]
+    taken = [r for r in named[:most] if _added(model, data, [r], said, errors=r is named[0])]
     if len(named) > 1:
         _added(model, data, named, said, errors=True)
     for r in taken if own else ():
@@ -123,17 +123,17 @@ def simulated(arm: str, name: str, seed: int) -> dict[str, Any]:
     return contradictions(robot, model, data, own=not pair)
 
 
-def real(folder: Path, shipped: str) -> Iterator[tuple[str, dict[str, Any]]]:
+def real(folder: Path, shipped: str, most: int | None) -> Iterator[tuple[str, dict[str, Any]]]:
     """A robot's own recording, then every other one against its model; ``shipped``: the arm where the folder has no description."""
     urdf, paths = folder / "robot.urdf", sorted(folder.glob("*.parquet"))
     robot = load_robot(urdf if urdf.exists() else shipped)
     first = next((p for p in paths if p.stem == "identification"), paths[0])
     own = read_recordings(first, robot)
     model = identified(robot, campaign(own), Settings()).model
-    yield "own", contradictions(robot, model, own, own=True)
+    yield "own", contradictions(robot, model, own, own=True, most=most)
     for path in paths:
         if path != first:
-            yield path.stem, contradictions(robot, model, read_recordings(path, robot), own=False)
+            yield path.stem, contradictions(robot, model, read_recordings(path, robot), own=False, most=most)
 
 
 def count(out: Path) -> None:
@@ -155,6 +155,7 @@ def main() -> None:
     parser.add_argument("where", nargs="*")
     parser.add_argument("--seed", type=int, default=300)
     parser.add_argument("--arm", default="lwa4p", help="shipped arm of a real folder without robot.urdf")
+    parser.add_argument("--most", type=int, help="names of a real recording asked for one by one (default: all)")
     parser.add_argument("--only", default="", help="cases whose name begins so, comma-separated")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
@@ -176,7 +177,7 @@ def main() -> None:
             print(file.stem, answer["verdict"], answer.get("named"), answer.get("contradictions"), flush=True)
     elif args.command == "real":
         for folder in map(Path, args.where):
-            for name, answer in real(folder, args.arm):
+            for name, answer in real(folder, args.arm, args.most):
                 (args.out / f"{folder.name}_{name}.json").write_text(json.dumps(answer, default=str))
                 print(folder.name, name, answer["verdict"], answer.get("named"), answer.get("contradictions"), flush=True)
     count(args.out)

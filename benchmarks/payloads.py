@@ -1,13 +1,13 @@
 """Is a payload's interval true: masses weighed by diagnosis against those mounted, on real and on simulated recordings.
 
-    python benchmarks/payloads.py [FOLDER MASS] [--simulated N] [--arm lwa4p|URDF ...]
+    python benchmarks/payloads.py [FOLDER MASS] [--parts] [--simulated N] [--arm lwa4p|URDF ...]
 
 FOLDER holds ``robot.urdf``, ``identification.parquet`` without a load, and one or more ``payload_*.parquet`` with MASS [kg] mounted.
 Simulated: an arm whose description is 2 to 5 % off in mass, whose drives report up to 10 % too much or too little torque, is
 identified without a load, and weighs one of 0.5 to 4 kg another day.
 
 Each load is weighed in two ways: *pair*, against a model from recordings without it, and *alone*, where the loaded recording is all
-there is and the robot's description is all it can be held against.  Real recordings are few, so their parts are asked too: models of
+there is and the robot's description is all it can be held against.  Real recordings are few, so ``--parts`` asks theirs: models of
 every third free recording, and halves of the loaded ones.  Parts of one recording share what is wrong with it; they are counted apart.
 """
 
@@ -87,7 +87,7 @@ def halves(data: Recordings) -> Iterator[tuple[str, Recordings]]:
         yield name, part(data, (r.cut(lo, hi),), name)
 
 
-def real(folder: Path, mass: float) -> Iterator[Weighed]:
+def real(folder: Path, mass: float, *, parts: bool) -> Iterator[Weighed]:
     robot = load_robot(folder / "robot.urdf")
     free = read_recordings(folder / "identification.parquet", robot)
     loaded = [(p.stem, read_recordings(p, robot)) for p in sorted(folder.glob("payload_*.parquet"))]
@@ -95,6 +95,8 @@ def real(folder: Path, mass: float) -> Iterator[Weighed]:
     for name, data in loaded:
         yield Weighed("real pair", name, mass, mass_of(model, data))
         yield Weighed("real, alone", name, mass, mass_of(model_of(robot, data), data))
+    if not parts:
+        return
     thirds = [part(free, free.trials[k::THIRDS], f"third {k + 1}") for k in range(THIRDS)]
     for which, m in [("all", model), *((t.meta.sources[0][0], model_of(robot, t)) for t in thirds)]:
         for name, data in loaded:
@@ -124,6 +126,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("mass", nargs="?", type=float)
+    parser.add_argument("--parts", action="store_true", help="parts of the real recordings, too")
     parser.add_argument("--simulated", type=int, default=0)
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--arm", nargs="+", default=["lwa4p"])
@@ -131,7 +134,7 @@ def main() -> None:
     print("| weighed | recordings | mounted [kg] | said, 95 % [kg] | off | inside |\n|---|---|---|---|---|---|", flush=True)
     rows: list[Weighed] = []
     arms = [load_robot(a) for a in args.arm]
-    sources = [real(args.folder, args.mass)] if args.folder else []
+    sources = [real(args.folder, args.mass, parts=args.parts)] if args.folder else []
     sources += [simulated(arms[k % len(arms)], args.first + k) for k in range(args.simulated)]
     for source in sources:
         for row in source:

@@ -3,13 +3,16 @@
     python benchmarks/real_robots.py FOLDER [--json FILE] [--markdown FILE]
 
 FOLDER holds one folder per robot with a ``robot.urdf`` (and ``robot.json``, if there is one) and recordings ``*.parquet``; a file
-``only.txt`` may hold options for ``stopset identify`` (``--tip LINK``, ``--lock J,K``).  Nothing is fetched.
+``only.txt`` may hold options for ``stopset identify`` (``--tip LINK``, ``--lock J,K``, ``--robot NAME`` of a shipped arm).  A robot without
+description is inspected only.  Nothing is fetched.  Robots that the JSON FILE has are not asked again, so a run may be broken off.
 
 A robot with one recording is identified from the first 60 % of its time and judged on the rest; one with several from all but every
 third recording.  The held-out error is that of the filtered torque over all samples at which the arm moves, summed over the joints:
 of stopset at its first try, and of least squares on the same rows with base parameters, rotor inertia, Coulomb and viscous friction
 and an offset per joint, without and with load-dependent and cubic friction.  Where identification finds that the torque was low-passed
-before it was recorded, stopset's model passes that filter; least squares is given both ways.  Coverage: how many blocks of 2.5 s of what was
+before it was recorded, stopset's model passes that filter; least squares is given both ways.  Where the torque is compensated (there is
+nothing to regress), even repetitions are fitted, odd ones judge, and the error is that of the position simulated from each trial's start
+for 5 s, root of the mean square over the joints.  Coverage: how many blocks of 2.5 s of what was
 not fitted leave the identified sets.
 """
 
@@ -47,6 +50,8 @@ LOAD_AND_CUBIC = 2  # columns per joint beyond the plain law
 def divided(recordings: Recordings) -> tuple[list[Recording], list[Recording]]:
     """What is fitted and what judges."""
     trials = [r for r in recordings if r.phase != "static" and np.ptp(r.q, axis=0).max() > MOVING]
+    if recordings.meta.effort == "compensated_torque":
+        return [r for r in trials if r.repetition % 2 == 0], [r for r in trials if r.repetition % 2 == 1]
     if len(trials) == 1:
         cut = round(FITTED * len(trials[0].t))
         return [trials[0].cut(0, cut)], [trials[0].cut(cut, len(trials[0].t))]
@@ -141,28 +146,27 @@ def judge(folder: Path, work: Path) -> dict[str, Any]:
     options = (folder / "only.txt").read_text().split() if (folder / "only.txt").exists() else []
     given = dict(zip(options[::2], options[1::2], strict=True))
     lock = tuple(given["--lock"].split(",")) if "--lock" in given else ()
-    robot = load_robot(folder / "robot.urdf", tip=given.get("--tip"), lock=lock)
+    urdf = given.pop("--robot", str(folder / "robot.urdf"))
+    options = [word for pair in given.items() for word in pair]
     files = sorted(folder.glob("*.parquet"))
+    if urdf == str(folder / "robot.urdf") and not Path(urdf).exists():
+        return {"robot": folder.name, **inspected(files, work), "identify": "no description beside it", "identify seconds": 0}
+    robot = load_robot(urdf, tip=given.get("--tip"), lock=lock)
     recordings = read_recordings(files, robot)
     fit, test = divided(recordings)
+    compensated = recordings.meta.effort == "compensated_torque"
     out: dict[str, Any] = {"robot": folder.name, "seconds recorded": round(sum(float(r.t[-1] - r.t[0]) for r in recordings))}
     paths = {name: work / f"{folder.name}.{name}.parquet" for name in ("fit", "test")}
     for name, part in (("fit", fit), ("test", test)):
-        pieces = part if name == "fit" else [b for r in part for b in blocks(r, 0.0)]
-        own = [replace(r, suite=k, trial=0, phase="closed_loop") for k, r in enumerate(pieces)]
+        pieces = part if name == "fit" or compensated else [b for r in part for b in blocks(r, 0.0)]
+        own = pieces if compensated else [replace(r, suite=k, trial=0, phase="closed_loop") for k, r in enumerate(pieces)]
         write_recordings(paths[name], replace(recordings.meta, joints=robot.joints), own)
-    urdf = str(folder / "robot.urdf")
-    said: dict[str, Any] = {}
-    code, _, out["inspect seconds"] = stopset(
-        "inspect", *map(str, files), "--robot", urdf, *options, "--json", str(work / "inspect.json")
-    )
-    if (work / "inspect.json").exists():
-        said = json.loads((work / "inspect.json").read_text())
-    worst = [f["kind"] for file in said.get("files", []) for f in file["findings"] if f["severity"] != "note"]
-    out["inspect"] = f"exit {code}: {', '.join(dict.fromkeys(worst)) or 'nothing'}"
+    out |= inspected(files, work, "--robot", urdf, *options)
     model = work / f"{folder.name}.model.json"
     code, text, seconds = stopset("identify", "--robot", urdf, *options, "--data", str(paths["fit"]), "--out", str(model))
     out["identify"], out["identify seconds"] = f"exit {code}" if code < 2 else text.strip().splitlines()[-1], round(seconds)
+    if compensated:
+        return out | by_position(model, paths, work, text)
     out["least squares"] = least_squares(robot, fit, test, more=False).round(3).tolist()
     out["least squares, load and cubic"] = least_squares(robot, fit, test, more=True).round(3).tolist()
     if not model.exists():
@@ -171,18 +175,46 @@ def judge(folder: Path, work: Path) -> dict[str, Any]:
     if cutoff := filtered_at(load_model(model)):
         out["filtered at"] = cutoff
         out["least squares, filtered"] = least_squares(robot, fit, test, more=True, cutoff=cutoff).round(3).tolist()
+    out |= compared(model, paths["test"], work)[0] | {"tightness": median(text)}
+    return out | diagnosed(model, paths["fit"], work)
+
+
+def inspected(files: Sequence[Path], work: Path, *options: str) -> dict[str, Any]:
+    """What `inspect` says of the files: exit code, kinds of findings, seconds."""
+    answer = work / "inspect.json"
+    answer.unlink(missing_ok=True)
+    code, _, seconds = stopset("inspect", *map(str, files), *options, "--json", str(answer))
+    said = json.loads(answer.read_text()) if answer.exists() else {}
+    worst = [f["kind"] for file in said.get("files", []) for f in file["findings"] if f["severity"] != "note"]
+    return {"inspect": f"exit {code}: {', '.join(dict.fromkeys(worst)) or 'nothing'}", "inspect seconds": seconds}
+
+
+def compared(model: Path, test: Path, work: Path) -> tuple[dict[str, Any], float]:
+    """What of the recordings that judge leaves the sets, the sets' width and the seconds; and the simulated position's error [rad]."""
     answer = work / "compare.json"
-    _, _, out["compare seconds"] = stopset("compare", str(model), "--data", str(paths["test"]), "--json", str(answer))
-    compared = json.loads(answer.read_text()) if answer.exists() else {}
-    out["left"] = f"{compared.get('violations')}, {compared.get('outside_domain')} of {compared.get('recordings')}"
-    out["U"] = float(load_model(model).powered.U.width.sum())
-    out["tightness"] = median(text)
+    answer.unlink(missing_ok=True)
+    _, _, seconds = stopset("compare", str(model), "--data", str(test), "--json", str(answer))
+    said = json.loads(answer.read_text()) if answer.exists() else {"joints": {}}
+    left = f"{said.get('violations')}, {said.get('outside_domain')} of {said.get('recordings')}"
+    error = [x["position_rmse"] for x in said["joints"].values() if x["position_rmse"] is not None]
+    found = {"left": left, "U": float(load_model(model).powered.U.width.sum()), "compare seconds": seconds}
+    return found, float(np.sqrt(np.mean(np.square(error)))) if error else float("nan")
+
+
+def diagnosed(model: Path, fit: Path, work: Path) -> dict[str, Any]:
+    """Verdict, effects and seconds."""
     answer = work / "diagnose.json"
-    code, text, seconds = stopset("diagnose", str(model), "--data", str(paths["fit"]), "--json", str(answer))
+    answer.unlink(missing_ok=True)
+    code, text, seconds = stopset("diagnose", str(model), "--data", str(fit), "--json", str(answer))
     found = json.loads(answer.read_text()) if code == 0 else {"verdict": text.strip().splitlines()[-1], "ranked_effects": []}
-    out["diagnosis"], out["diagnose seconds"] = found["verdict"], round(seconds)
-    out["effects"] = [f"{e['effect']}:{e['joint']}" for e in found["ranked_effects"]]
-    return out
+    effects = [f"{e['effect']}:{e['joint']}" for e in found["ranked_effects"]]
+    return {"diagnosis": found["verdict"], "diagnose seconds": round(seconds), "effects": effects}
+
+
+def by_position(model: Path, paths: dict[str, Path], work: Path, text: str) -> dict[str, Any]:
+    """Compensated torque: the error of the simulated position on what judges, and what the other commands say."""
+    found, error = compared(model, paths["test"], work)
+    return found | diagnosed(model, paths["fit"], work) | {"tightness": median(text), "position": error}
 
 
 def table(results: Sequence[dict[str, Any]]) -> str:
@@ -205,10 +237,11 @@ def table(results: Sequence[dict[str, Any]]) -> str:
             *(("least squares, filtered",) if "filtered at" in r else ()),
             "stopset",
         )
-        errors = [sum(r[k]) if k in r else float("nan") for k in names]
+        errors = [f"{sum(r[k]):.2f}" if k in r else "-" for k in names]
+        held_out = f"{r['position']:.3f} rad" if "position" in r else " / ".join(errors)
+        width = f"{r['U']:.0f}" if "U" in r else "-"
         cells = (
-            r["robot"], r["inspect"], r["identify"], " / ".join(f"{e:.2f}" for e in errors),
-            f"{r.get('tightness', '-')}, {r.get('U', float('nan')):.0f}", r.get("left", "-"),
+            r["robot"], r["inspect"], r["identify"], held_out, f"{r.get('tightness', '-')}, {width}", r.get("left", "-"),
             f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}",
             f"{r['inspect seconds']:.0f}, {r['identify seconds']:.0f}, {r.get('compare seconds', 0):.0f}, {r.get('diagnose seconds', 0):.0f}",
         )  # fmt: skip
@@ -222,15 +255,18 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     args = parser.parse_args()
-    results = []
+    results = json.loads(args.json.read_text()) if args.json and args.json.exists() else []
+    asked = {r["robot"] for r in results}
     with tempfile.TemporaryDirectory() as work:
-        for folder in sorted(p.parent for p in args.folder.glob("*/robot.urdf")):
+        for folder in sorted({p.parent for p in args.folder.glob("*/*.parquet")}):
+            if folder.name in asked:
+                continue
             results.append(judge(folder, Path(work)))
             print(json.dumps(results[-1]), flush=True)
+            if args.json:
+                args.json.write_text(json.dumps(results, indent=1))
     text = table(results)
     print(text)
-    if args.json:
-        args.json.write_text(json.dumps(results, indent=1))
     if args.markdown:
         args.markdown.write_text(text + "\n")
 

@@ -17,6 +17,7 @@ from stopset.recording import Meta, Recording, read_recordings, write_recordings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from campaign import RATE, trials
+from one_answer import contradictions
 
 TRIALS = 60  # four suites of fifteen repetitions
 SCATTER = 0.3  # of the campaign's usual torque disturbances: an arm that repeats as well as the real one
@@ -55,6 +56,13 @@ def test_warming_is_found_at_its_joint_with_its_size(tmp_path: Path) -> None:
     assert ranked[0] == f"warm_up:{load_robot('lwa4p').joints[JOINT]}"
     # the friction disturbances of single trials are a tenth of the damping: half of the true change is far outside them
     assert values["k_v"] == pytest.approx(-WARMING * 27.0, rel=0.5)
+
+
+def test_what_is_named_is_added_and_identified_with_the_same_numbers(tmp_path: Path) -> None:
+    robot, data = load_robot("lwa4p"), tmp_path / "campaign.parquet"
+    write_recordings(data, Meta(joints=robot.joints, effort="compensated_torque", rate_hz=RATE), campaign(WARMING))
+    answer = contradictions(robot, identify(robot, [data]).model, read_recordings(data, robot), own=True)
+    assert answer["named"] and answer["contradictions"] == []
 
 
 @pytest.mark.shared

@@ -41,6 +41,7 @@ def test_the_mounted_mass_is_found_first_and_weighed(loaded: Diagnosis) -> None:
     first = loaded.ranked[0]
     assert first.effect == "payload" and first.joints == ()
     assert first.parameters["m"].value == pytest.approx(MOUNTED, rel=0.15)
+    assert "description alone" not in first.says  # a model from recordings without it is what it was held against
     # one recording: held-out seconds stand in for held-out motions
     assert first.error_after < 0.5 * first.error_before
 
@@ -60,8 +61,10 @@ def test_a_load_asked_of_its_own_recording_lies_in_its_interval(shared_data) -> 
     folder: Path = shared_data("ur10e")
     model = identify(load_robot(folder / "robot.urdf"), [folder / "payload_b.parquet"]).model
     found = diagnose_model(model, read_recordings(folder / "payload_b.parquet"), ["payload"])[0]
-    m = next(r for r in found.ranked if r.effect == "payload").parameters["m"]
+    payload = next(r for r in found.ranked if r.effect == "payload")
+    m = payload.parameters["m"]
     assert m.std is not None and abs(m.value - MOUNTED) < 1.96 * m.std
+    assert "against the robot's description alone" in payload.says and "record these motions without it" in payload.says
     assert m.value > 1.96 * m.std  # it is known to hang there
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -9,7 +11,7 @@ from scipy.signal import lfilter
 
 from stopset.effects import get
 from stopset.offline.nominal.open_loop import SPEED_LIMIT, EffectTerm, JointBatch, roll_out
-from stopset.offline.nominal.output_error import FEW, STARTS, _lag_misfit, fit_lag
+from stopset.offline.nominal.output_error import FEW, STARTS, _lag_misfit, fit_joint, fit_lag
 
 DT, N = 0.01, 200
 
@@ -50,3 +52,25 @@ def test_a_simulation_that_runs_away_goes_on_at_the_limit_instead_of_overflowing
     q, dq = roll_out(data, np.ones(1), np.full(1, 5.0), np.array([[0.0, -1e4, 0.0]]), [EffectTerm(get("spring"), {})])
     assert np.max(np.abs(dq)) == pytest.approx(SPEED_LIMIT)
     assert np.max(np.abs(np.diff(q, axis=1))) <= SPEED_LIMIT * DT * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize(
+    ("J", "v", "k", "v_3", "seed"),
+    [(1.81, 10.15, 15.2, -1.83, 498), (2.11, 14.22, 27.6, -1.72, 292), (1.05, 6.64, 9.19, -1.33, 247)],
+)
+def test_a_strong_effect_does_not_lead_the_fit_to_no_inertia(
+    J: float, v: float, k: float, v_3: float, seed: int, given: bool
+) -> None:
+    """The lag found without the spring was the start, and from there the inertia went to zero; so with the effects' numbers known."""
+    moved = batch(J, v, moving=10, still=0, seed=seed)
+    laws, values = (get("spring"), get("cubic_viscous")), ((k, 0.0), (v_3,))
+    terms = [EffectTerm(law, {}) for law in laws]
+    q, dq = roll_out(moved, np.array([J]), np.array([v]), np.array([[0.3, k, 0.0, v_3]]), terms)
+    rng = np.random.default_rng(seed)
+    data = replace(moved, q=q[0] + rng.normal(0, 1e-4, q[0].shape), dq=dq[0] + rng.normal(0, 1e-3, q[0].shape))
+    if given:
+        terms = [EffectTerm(law, {}, x) for law, x in zip(laws, values, strict=True)]
+    found = fit_joint(data, "a", terms)
+    assert found.inertia == pytest.approx(J, rel=0.02) and found.damping == pytest.approx(v, rel=0.02)
+    assert found.effects[0].values["k"] == pytest.approx(k, rel=0.02)

@@ -20,8 +20,9 @@ from synthetic import names, recordings, save_trials, urdf
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "schunk_lwa4p" / "open_loop.parquet"
 needs_data = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 
-# what is missing on this arm, in the order it was found: the joints warm up, and gravity was not taken off entirely
-STEPS = (("warm_up", None), ("residual_gravity", "arm_3_joint"), ("residual_gravity", "arm_2_joint"))
+# what is missing on this arm, in the order it was found: the joints warm up, and gravity was not taken off entirely; the elbow's
+# friction bends with speed besides, and its numbers are those of all three together
+STEPS = (("warm_up",), ("residual_gravity:arm_3_joint", "cubic_viscous:arm_3_joint"), ("residual_gravity:arm_2_joint",))
 WARMING, SPRING = -3.0, 2.0  # [N m s/rad] of 9 lost over eight repetitions; [N m/rad]
 TARGET = 0.043  # [rad] open-loop position error over all joints, even -> odd trials: the number to beat
 
@@ -92,10 +93,9 @@ def test_a_joint_for_several_effects_and_one_named_twice_are_refused(warmed: tup
         assert not out.exists()
 
 
-def revise(model: Path, out: Path, effect: str, joint: str | None, *more: str) -> tuple[int, dict[str, object]]:
+def revise(model: Path, out: Path, *effects: str) -> tuple[int, dict[str, object]]:
     answer = out.with_suffix(".answer.json")
-    words = ["add", str(model), effect, "--data", str(DATA), "--out", str(out), "--json", str(answer), *more]
-    code = main(words + (["--joint", joint] if joint else []))
+    code = main(["add", str(model), *effects, "--data", str(DATA), "--out", str(out), "--json", str(answer)])
     return code, json.loads(answer.read_text())
 
 
@@ -105,10 +105,10 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, dict[str
     models = [folder / "0.model.json"]
     assert main(["identify", "--robot", "lwa4p", "--data", str(DATA), "--out", str(models[0])]) == 0
     steps: list[tuple[Path, dict[str, object]]] = [(models[0], {})]
-    for k, (effect, joint) in enumerate(STEPS, start=1):
+    for k, effects in enumerate(STEPS, start=1):
         out = folder / f"{k}.model.json"
-        code, answer = revise(steps[-1][0], out, effect, joint)
-        assert code == 0, f"{effect} at {joint} was refused: {answer}"
+        code, answer = revise(steps[-1][0], out, *effects)
+        assert code == 0, f"{effects} were refused: {answer}"
         steps.append((out, answer))
     return steps
 
@@ -134,7 +134,7 @@ def test_history_names_every_revision(chain: list[tuple[Path, dict[str, object]]
     out, page = tmp_path / "history.json", tmp_path / "history.html"
     assert main(["history", str(chain[-1][0]), "--json", str(out), "--report", str(page)]) == 0
     rows = json.loads(out.read_text())
-    assert [r["added"] for r in rows] == ["", *(f"{e}:{j}" if j else e for e, j in STEPS)]
+    assert [r["added"] for r in rows] == ["", *map(", ".join, STEPS)]
     assert "residual_gravity:arm_3_joint" in page.read_text()
 
 
@@ -146,7 +146,7 @@ def test_an_effect_that_does_not_help_is_refused_with_the_numbers_and_nothing_is
 ) -> None:
     out = tmp_path / "refused.model.json"
     # the last joint's axis goes through its own mass: gravity cannot be what is missing there
-    code, answer = revise(chain[-1][0], out, "residual_gravity", "arm_6_joint")
+    code, answer = revise(chain[-1][0], out, "residual_gravity:arm_6_joint")
     assert code == 1 and answer["helps"] is False
     assert not out.exists()
     said = capsys.readouterr().out

@@ -61,6 +61,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "CARRIED", CODES),
     ("stopset.offline.diagnose.diagnose", "SINCE SINGLE", WORDS),
+    ("stopset.offline.diagnose.examination", "WEIGHED_ALONE", WORDS),
     ("stopset.offline.diagnose.standing", "MOVE USUAL_TORQUE", "of an arm that does not move no model is made"),
     ("stopset.offline.diagnose.evidence.engine", "CACHED RECENT", BUDGET),
     ("stopset.offline.diagnose.evidence.baseline", "DESCRIBED", WORDS),

@@ -58,7 +58,7 @@ class NominalPart:
 
 def fit_nominal(run: Run, known: tuple[Fitted, ...] = ()) -> NominalPart:
     """Everything that must be known before the sets, from all trials of ``run``; numbers of the ``known`` effects are kept."""
-    return _compensated(run) if run.meta.effort == "compensated_torque" else _motor(run, known)
+    return _compensated(run, known) if run.meta.effort == "compensated_torque" else _motor(run, known)
 
 
 def regressed(effect: Effect) -> bool:
@@ -66,16 +66,18 @@ def regressed(effect: Effect) -> bool:
     return effect.scope == "joint" and not effect.states and not effect.shapes and set(effect.needs) <= {"dq", "load"}
 
 
-def _compensated(run: Run) -> NominalPart:
-    """Torque that already is ``u``: one lag per joint with its effects, by output error."""
+def _compensated(run: Run, known: Sequence[Fitted]) -> NominalPart:
+    """Torque that already is ``u``: one lag per joint with its effects, by output error; numbers that are ``known`` stay."""
     robot, found = run.robot, run.survey
     sample = [g for g in (on_grid(r, found.dt) for r in found.sample) if len(g.t) >= 3]
     batches = joint_batches(robot, sample, [found.warm(r) for r in sample], found.dt)
-    wanted = [parse_effect(e, robot) for e in run.settings.effects if e not in base()]
-    expected = np.diag(_mean_inertia(robot, robot.rotor, found))
+    asked = [e for e in run.settings.effects if e not in base() and not any(matches(f, e) for f in known)]
+    wanted = [parse_effect(e, robot) for e in asked]
+    expected = np.diag(mean_inertia(robot, robot.rotor, found))
     fits = []
     for joint, batch, J in zip(robot.joints, batches, expected, strict=True):
-        terms = [EffectTerm(e, e.shape_values(None)) for e, joints in wanted if joint in joints]
+        terms = [EffectTerm.known(f) for f in known if f.joint == joint]
+        terms += [EffectTerm(e, e.shape_values(None)) for e, joints in wanted if joint in joints]
         fits.append(fit_joint(batch, joint, terms, float(J)))
     inertia, damping = np.array([f.inertia for f in fits]), np.array([f.damping for f in fits])
     abstraction = Abstraction(1, 1, np.diag(1.0 / inertia), damping[:, None].copy(), offset=np.array([f.offset for f in fits]))
@@ -95,7 +97,7 @@ def _compensated(run: Run) -> NominalPart:
     return NominalPart(
         robot,
         robot.rotor,
-        (*viscous, *(e for f in fits for e in f.effects)),
+        (*viscous, *known, *(e for f in fits for e in f.effects if not any(matches(k, e.label) for k in known))),
         abstraction,
         notes,
         uncertain_torque=uncertain_torque,
@@ -129,7 +131,7 @@ def _motor(run: Run, known: tuple[Fitted, ...]) -> NominalPart:
 def refitted(run: Run, known: tuple[Fitted, ...], like: NominalPart) -> NominalPart:
     """The laws of ``like``, their numbers from other trials; those of the ``known`` effects are kept."""
     if like.data is None:
-        return _compensated(run)
+        return _compensated(run, known)
     robot, found = run.robot, run.survey
     cad = described(robot, known)
     trials = [plain(r, cad, known, found.warm(r)) for r in run.trials()]
@@ -144,7 +146,7 @@ def _regressed(
     arm = nominal.robot(cad)
     # M(q_a) of the paper with the mean over the poses seen in place of one pose's: measured on healthy arms, the sum of
     # U widths falls by a third against the diagonal of the same matrix, and by up to 40 % against M(0)
-    inertia = _mean_inertia(arm, nominal.rotor, found) + shared_inertia(robot, known)
+    inertia = mean_inertia(arm, nominal.rotor, found) + shared_inertia(robot, known)
     law = of_part("damping")
     damping = np.array([nominal.value(law.name, j).get(law.terms[0].symbol, 0.0) for j in robot.joints])
     still = TELLING * found.readings.least.hi[robot.n :]
@@ -158,7 +160,7 @@ def _regressed(
     )  # fmt: skip
 
 
-def _mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
+def mean_inertia(robot: Robot, rotor: Array, found: Survey) -> Array:
     """(n, n) [kg m^2]: ``M(q) + rotor`` in the mean over the poses seen."""
     poses = np.vstack([r.q[:: max(1, len(r.q) // 20)] for r in found.sample])
     mean: Array = np.mean([mass_matrix(robot.chain, robot.pi, q) for q in poses], axis=0) + np.diag(rotor)

@@ -9,7 +9,7 @@ one is looked for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,14 +18,17 @@ from stopset.artifact import Model
 from stopset.artifact.inputs import compensated
 from stopset.effects import Effect, catalogue, get
 from stopset.effects.base import Fitted
+from stopset.effects.selection import matches
 from stopset.errors import RecordingError
-from stopset.offline.campaign.survey import on_grid, survey
+from stopset.offline.abstraction.nominal_part import mean_inertia
+from stopset.offline.campaign.survey import Survey, on_grid, survey
+from stopset.offline.compare.known import TorqueModel
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
-from stopset.offline.nominal.output_error import JointFit, fit_joint, fit_lag, gauss_newton, residuals
+from stopset.offline.nominal.output_error import fit_joint, fit_lag, gauss_newton, residuals, start
 from stopset.progress import Progress, silent
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
@@ -46,12 +49,123 @@ class _Trial:
     p: Array
 
 
+@dataclass(frozen=True, slots=True)
+class _Claim:
+    """An effect claimed at a joint: held-out error ``before`` it, and effects that say almost as much."""
+
+    trial: _Trial
+    before: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Joint:
+    """A joint's trials, even and odd; the terms its model has; what was claimed beside them, one after another.
+
+    ``refitted``, ``fitted``: numbers of both, estimated together.
+    """
+
+    name: str
+    train: JointBatch
+    held: JointBatch
+    own: tuple[EffectTerm, ...]
+    claims: tuple[_Claim, ...]
+    refitted: tuple[Fitted, ...]
+    fitted: tuple[Fitted, ...]
+
+    def ranked(self) -> list[Ranked]:
+        return [_ranked(self.name, c, f, self.held.inside.shape[1]) for c, f in zip(self.claims, self.fitted, strict=True)]
+
+    def error(self, chosen: Sequence[str]) -> float:
+        """Held-out error [rad] with the claims ``chosen`` by name, in this order."""
+        names = [c.trial.term.effect.name for c in self.claims]
+        if list(chosen) == names[: len(chosen)]:
+            return self.claims[len(chosen)].before if len(chosen) < len(names) else self.claims[-1].trial.error
+        by = dict(zip(names, self.claims, strict=True))
+        terms = [*self.own, *(by[name].trial.term for name in chosen)]
+        return _held_out(self.held, terms, _fitted(self.train, terms))[0]
+
+
+@dataclass(frozen=True, slots=True)
+class OpenLoop:
+    """What simulations of compensated torque say is missing, joint by joint."""
+
+    joints: tuple[_Joint, ...]
+    trials: int
+    rows: int
+
+    def ranked(self) -> tuple[tuple[Ranked, tuple[str, ...]], ...]:
+        """Claims with their rivals, the most telling first, but a joint's own in the order they were made in."""
+        rows = []
+        for joint in self.joints:
+            least = np.inf
+            for r, claim in zip(joint.ranked(), joint.claims, strict=True):
+                least = min(least, r.score)
+                rows.append((least, r, claim.rivals))
+        return tuple((r, rivals) for _, r, rivals in sorted(rows, key=lambda x: -x[0]))
+
+    def matching(self, name: str) -> list[Ranked]:
+        """The claims that ``name`` asks for, in their order."""
+        return [r for r, _ in self.ranked() if matches(r.fitted, name)]
+
+    def besides(self, chosen: Sequence[Ranked], joints: Collection[str]) -> tuple[str, ...]:
+        """Claims at ``joints`` that are not among the ``chosen``."""
+        taken = {r.label for r in chosen}
+        return tuple(r.label for r, _ in self.ranked() if r.joints[0] in joints and r.label not in taken)
+
+    def steps(self, chosen: Sequence[Ranked]) -> list[tuple[float, float]]:
+        """Held-out error [rad] of its joint before and after each of the claims ``chosen``, beside those before it."""
+        by, taken, out = {j.name: j for j in self.joints}, dict[str, list[str]](), []
+        for r in chosen:
+            mine = taken.setdefault(r.joints[0], [])
+            joint = by[r.joints[0]]
+            before = joint.error(mine)
+            mine.append(r.effect)
+            out.append((before, joint.error(mine)))
+        return out
+
+    def with_claims(self, model: Sequence[Fitted], chosen: Sequence[Ranked]) -> tuple[Fitted, ...]:
+        """Effects of a ``model`` once it has the claims ``chosen``; at their joints its own numbers held what was missing until now."""
+        touched = {r.joints[0] for r in chosen}
+        anew = {f.label: f for joint in self.joints if joint.name in touched for f in joint.refitted}
+        return (*(anew.get(f.label, f) for f in model), *(r.fitted for r in chosen))
+
+
 def diagnose_open_loop(
     model: Model, recordings: Recordings, names: Sequence[str] | None = None, progress: Progress = silent
 ) -> Diagnosis:
-    """Missing effects of a model of compensated torque. Raises `RecordingError` if no suite was repeated."""
-    found = survey(lambda: recordings.trials)
-    trials = [r for r in recordings if r.phase == found.phase and len(r.t) > 2]
+    """Missing effects of a model of compensated torque, of ``names`` only. Raises `RecordingError` if no suite was repeated."""
+    found = search_open_loop(model, recordings, survey(lambda: recordings.trials), progress)
+    ranked = [(r, rivals) for r, rivals in found.ranked() if names is None or r.effect in names or r.label in names]
+    rivals = tuple((r.label, *others) for r, others in ranked if others)
+    return Diagnosis(
+        verdict="missing" if ranked else "none",
+        ranked=tuple(r for r, _ in ranked),
+        rivals=rivals,
+        depends_on=(),
+        not_identifiable=_blind(model, [j.train for j in found.joints]),
+        next_experiment=advice.to_decide(rivals),
+        trials=found.trials,
+        rows=found.rows,
+    )
+
+
+def search_open_loop(
+    model: Model | TorqueModel,
+    recordings: Recordings,
+    found: Survey,
+    progress: Progress = silent,
+    *,
+    joints: Collection[str] | None = None,
+) -> OpenLoop:
+    """The search that `diagnose`, `add` and `identify --effects` share; ``found``: the campaign's survey.
+
+    The whole catalogue is searched whoever asks: an effect looked for alone takes up what another one does.  ``joints``: of these
+    only, for in compensated torque every joint is a system of its own.  Motions that a model's sets are judged on are left out.
+    Errors are those of odd repetitions, which the fit has not seen; the numbers come from all.
+    Raises `RecordingError` if no suite was repeated.
+    """
+    trials = [r for r in recordings if r.phase == found.phase and len(r.t) > 2 and r.suite_key not in found.held_out]
     even = [r for r in trials if r.repetition % 2 == 0]
     odd = [r for r in trials if r.repetition % 2 == 1]
     if min(len(even), len(odd)) < limit.OPEN_LOOP_TRIALS:
@@ -60,32 +174,27 @@ def diagnose_open_loop(
             "is fitted on the even repetitions and judged on the odd ones"
         )
     factor = max(1, round(STEP / found.dt))
-    dt = found.dt * factor
 
-    def batches(part: list[Recording]) -> list[JointBatch]:
-        coarse = [_averaged(on_grid(r, found.dt), factor) for r in part]
-        return joint_batches(model.robot, coarse, [found.warm(r) for r in part], dt)
+    def batches(part: list[Recording], factor: int) -> list[JointBatch]:
+        grid = [on_grid(r, found.dt) for r in part]
+        coarse = [_averaged(r, factor) for r in grid] if factor > 1 else grid
+        return joint_batches(model.robot, coarse, [found.warm(r) for r in part], found.dt * factor)
 
-    ranked: list[tuple[Ranked, tuple[str, ...]]] = []
-    trained = batches(even)
-    for k, (joint, train, held) in enumerate(zip(model.joints, trained, batches(odd), strict=True)):
+    searched: list[_Joint] = []
+    material = zip(model.robot.joints, batches(even, factor), batches(odd, factor), batches(trials, 1), strict=True)
+    asked = [(j, m) for j, m in enumerate(material) if joints is None or m[0] in joints]
+    inertia = np.diag(mean_inertia(model.robot, model.robot.rotor, found))
+    for k, (j, (name, train, held, whole)) in enumerate(asked):
+        so_far = sum(len(x.claims) for x in searched)
         progress(
-            f"simulating {joint} with every effect: joint {k} of {model.n} done, {len(ranked)} effects found so far", k / model.n
+            f"simulating {name} with every effect: joint {k} of {len(asked)} done, {so_far} effects found so far", k / len(asked)
         )
-        mine = [f for f in compensated(model.effects, model.abstraction) if f.joint in (joint, None)]
-        ranked += _joint(joint, train, held, [_term(f) for f in mine], candidates(train, names))
-    ranked.sort(key=lambda r: -r[0].score)
-    rivals = tuple((r.label, *others) for r, others in ranked if others)
-    return Diagnosis(
-        verdict="missing" if ranked else "none",
-        ranked=tuple(r for r, _ in ranked),
-        rivals=rivals,
-        depends_on=(),
-        not_identifiable=_blind(model, trained),
-        next_experiment=advice.to_decide(rivals),
-        trials=len(trials),
-        rows=sum(len(r.t) for r in trials),
-    )
+        own = tuple(_term(f) for f in compensated(model.effects, model.abstraction) if f.joint in (name, None))
+        claims = tuple(_claims(name, train, held, list(own), candidates(train, None)))
+        terms = [*own, *(c.trial.term for c in claims)]
+        fitted = fit_joint(whole, name, terms, float(inertia[j])).effects if claims else ()
+        searched.append(_Joint(name, train, held, own, claims, fitted[: len(own)], fitted[len(own) :]))
+    return OpenLoop(tuple(searched), len(trials), sum(len(r.t) for r in trials))
 
 
 def candidates(batch: JointBatch, names: Sequence[str] | None) -> list[EffectTerm]:
@@ -151,21 +260,17 @@ def _averaged(r: Recording, factor: int) -> Recording:
     )  # fmt: skip
 
 
-def _joint(
-    joint: str, train: JointBatch, held: JointBatch, terms: list[EffectTerm], pool: list[EffectTerm]
-) -> list[tuple[Ranked, tuple[str, ...]]]:
-    """Claims at one joint, best first, each with its rivals."""
-    p = np.concatenate([fit_lag(train), np.zeros(sum(len(t.effect.terms) for t in terms))])
-    p = gauss_newton(train, terms, p) if terms else p
+def _claims(joint: str, train: JointBatch, held: JointBatch, terms: list[EffectTerm], pool: list[EffectTerm]) -> Iterator[_Claim]:
+    """Claims at one joint, one after another."""
+    p = _fitted(train, terms)
     error, by_trial = _held_out(held, terms, p)
-    claims: list[tuple[Ranked, tuple[str, ...]]] = []
     for _ in range(limit.OPEN_LOOP_CLAIMS):
         taken = {t.effect.name for t in terms}
         tried = [_try(train, held, terms, t, p, SCREENING, by_trial) for t in pool if t.effect.name not in taken]
         tried = sorted(tried, key=lambda t: t.error)[:FINALISTS]
         best = sorted((_try(train, held, terms, t.term, t.p, None, by_trial) for t in tried), key=lambda t: t.error)
         if not best or best[0].error > (1 - limit.OPEN_LOOP_CLAIM) * error or best[0].fall < limit.OPEN_LOOP_HALVES:
-            break
+            return
         top = best[0]
         rivals = tuple(
             dict.fromkeys(
@@ -174,12 +279,16 @@ def _joint(
                 if t.error < (1 + limit.OPEN_LOOP_RIVAL) * top.error and t.term.effect.name != top.term.effect.name
             )
         )
+        yield _Claim(top, error, rivals)
         terms = [*terms, top.term]
-        fit = fit_joint(train, joint, terms)
-        claims.append((_ranked(joint, top, fit, error, len(by_trial)), rivals))
         p, error = top.p, top.error
         by_trial = _held_out(held, terms, p)[1]
-    return claims
+
+
+def _fitted(train: JointBatch, terms: Sequence[EffectTerm]) -> Array:
+    """Parameters of a joint with ``terms``."""
+    p = fit_lag(train)
+    return gauss_newton(train, terms, start(train, terms, p)) if terms else p
 
 
 def _try(
@@ -188,8 +297,8 @@ def _try(
     """One effect beside ``terms``, fitted from ``p`` for a few steps or to the end."""
     more = [*terms, term]
     size = 3 + sum(len(t.effect.terms) for t in more)
-    start = np.concatenate([p, np.zeros(size - len(p))])
-    fitted = gauss_newton(train, more, start) if steps is None else gauss_newton(train, more, start, steps)
+    begun = np.concatenate([p, np.zeros(size - len(p))])
+    fitted = gauss_newton(train, more, begun) if steps is None else gauss_newton(train, more, begun, steps)
     error, by_trial = _held_out(held, more, fitted)
     halves = [1.0 - float(np.sqrt(by_trial[k::2].sum() / before[k::2].sum())) for k in (0, 1)]
     return _Trial(term, error, min(halves), fitted)
@@ -203,11 +312,10 @@ def _held_out(held: JointBatch, terms: list[EffectTerm], p: Array) -> tuple[floa
     return float(np.sqrt(by_trial.sum() / held.inside.sum())), by_trial
 
 
-def _ranked(joint: str, top: _Trial, fit: JointFit, before: float, trials: int) -> Ranked:
-    effect = top.term.effect
-    mine = next(f for f in reversed(fit.effects) if f.effect == effect.name)
+def _ranked(joint: str, claim: _Claim, fitted: Fitted, trials: int) -> Ranked:
+    effect, error = claim.trial.term.effect, claim.trial.error
     units = {t.symbol: t.unit for t in effect.terms} | {s.symbol: s.unit for s in effect.shapes}
-    parameters = {k: Parameter(v, units[k], mine.std.get(k)) for k, v in mine.values.items()}
+    parameters = {k: Parameter(v, units[k], fitted.std.get(k)) for k, v in fitted.values.items()}
     # twice the log likelihood ratio if every held-out trial counts once, however many samples it has
-    score = 2.0 * trials * float(np.log(before / top.error))
-    return Ranked(effect.name, (joint,), score, before, top.error, parameters, effect.look_at, effect.says, "rad")
+    score = 2.0 * trials * float(np.log(claim.before / error))
+    return Ranked(effect.name, (joint,), score, claim.before, error, parameters, effect.look_at, effect.says, "rad")

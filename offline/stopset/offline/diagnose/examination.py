@@ -15,7 +15,7 @@ from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
-from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations
+from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations, drives_scale
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
@@ -23,6 +23,13 @@ from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
+
+# measured on a UR10e that carried nothing (benchmarks/payload_limits.py): 0.8 kg too much by its description, 2.2 to 0.3 kg with its torque
+# 15 % too small or too large
+WEIGHED_ALONE = (
+    " It was weighed against the robot's description alone, whose masses and torque scale decide as much: record these motions without it, "
+    "`stopset identify` from that, and diagnose this recording against that model."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +114,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     engine = already.engine
     joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
     deviation = deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
-    numbers = [parameters(c.scored, d) for c, d in zip(found.claims, deviation, strict=True)]
+    scale = drives_scale(found.now, left.theta)
+    numbers = [parameters(c.scored, d, scale) for c, d in zip(found.claims, deviation, strict=True)]
     objections = []
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
@@ -123,7 +131,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.before[taken.joint]),
-                float(taken.after[taken.joint]), given, c.effect.look_at, _says(c.effect, given),
+                float(taken.after[taken.joint]), given, c.effect.look_at, _says(c.effect, given, described=not engine.source.gain_std),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why,
             )
         )  # fmt: skip
@@ -131,23 +139,28 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     return tuple(out)
 
 
-def _says(effect: Effect, numbers: Mapping[str, Parameter]) -> str:
-    """The effect's sentence; of a payload also what it weighs, in an interval, and where its centre is."""
+def _says(effect: Effect, numbers: Mapping[str, Parameter], *, described: bool) -> str:
+    """The effect's sentence; of a payload also what it weighs, in an interval, where its centre is, and what would weigh it better.
+
+    ``described``: it is held against the robot's description, not against a model from recordings without it.
+    """
     m = numbers["m"] if effect.carried else None
     if m is None or m.std is None:
         return effect.says
     half = TWO_SIDES * m.std
     text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
+    alone = WEIGHED_ALONE if described else ""
     if abs(m.value) < half:
-        return f"{text}."
+        return f"{text}.{alone}"
     centre = ", ".join(f"{numbers[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
-    return f"{text}, centre at ({centre}) m in the last link's frame."
+    return f"{text}, centre at ({centre}) m in the last link's frame.{alone}"
 
 
-def parameters(scored: Scored, deviation: Mapping[str, float]) -> dict[str, Parameter]:
-    """Terms, then shapes, each with its standard ``deviation``."""
+def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:
+    """Terms, then shapes, each with its standard ``deviation``; a load is weighed in true torque, the recorded one over ``scale``."""
     c = scored.candidate
-    values = {t.symbol: (float(v), t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
+    per = scale if c.effect.carried else 1.0
+    values = {t.symbol: (float(v) / per, t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
     values |= {p.symbol: (float(c.shapes[p.symbol]), p.unit) for p in c.effect.shapes}
     if c.effect.enters == "input_delay" and "d0" in c.shapes:
         symbol = c.effect.terms[0].symbol

@@ -8,10 +8,11 @@ from dataclasses import replace
 from stopset.effects.base import Fitted
 from stopset.effects.registry import get
 from stopset.effects.selection import matches, parse_effect
-from stopset.errors import EffectError
+from stopset.errors import EffectError, RecordingError
 from stopset.offline.abstraction.nominal_part import NO_TRACE, fit_nominal, regressed
 from stopset.offline.campaign.run import Run
 from stopset.offline.compare.known import TorqueModel
+from stopset.offline.diagnose.compensated import search_open_loop
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.question import first_question
 from stopset.recording import Recordings
@@ -26,7 +27,7 @@ def asked_effects(run: Run, known: Sequence[Fitted] = (), chosen: Sequence[str] 
     Raises `EffectError` for an effect that these recordings show no trace of.
     """
     if run.meta.effort == "compensated_torque":
-        return ()  # fitted with everything else, by output error
+        return _simulated(run, known)
     wanted = [
         name for name in (*run.settings.effects, *chosen)
         if _estimated(name, run.robot, run.settings.friction) and not any(matches(f, name) for f in known)
@@ -43,6 +44,23 @@ def asked_effects(run: Run, known: Sequence[Fitted] = (), chosen: Sequence[str] 
         if name not in chosen and not any(e.name == name for e in found):
             raise EffectError(f"{name}: {NO_TRACE}")
     return (*known, *(e.fitted for e in found))
+
+
+def _simulated(run: Run, known: Sequence[Fitted]) -> tuple[Fitted, ...]:
+    """`asked_effects` of compensated torque; what no simulation names is fitted with everything else, by output error."""
+    wanted = [e for e in run.settings.effects if not parse_effect(e, run.robot)[0].base and not any(matches(f, e) for f in known)]
+    if not wanted:
+        return tuple(known)
+    settings = replace(run.settings, effects=tuple(x for x in run.settings.effects if x not in wanted))
+    part = fit_nominal(replace(run, settings=settings), tuple(known))
+    plain = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
+    trials = Recordings(replace(run.meta, joints=run.robot.joints), tuple(run.trials()))
+    try:
+        joints = {joint for e in wanted for joint in parse_effect(e, run.robot)[1]}
+        found = search_open_loop(plain, trials, run.survey, joints=joints)
+    except RecordingError:  # nothing was repeated, so nothing can be judged
+        return tuple(known)
+    return (*known, *(r.fitted for r, _ in found.ranked() if any(matches(r.fitted, e) for e in wanted)))
 
 
 def _estimated(name: str, robot: Robot, friction: str) -> bool:

@@ -50,10 +50,17 @@ class JointBatch:
 
 @dataclass(frozen=True, slots=True)
 class EffectTerm:
-    """An effect in a simulation: its law, shapes, and which columns carry a parameter."""
+    """An effect in a simulation: its law, shapes, and the values of its terms where they are ``given``."""
 
     effect: Effect
     shapes: Mapping[str, float]
+    given: tuple[float, ...] = ()
+
+    @classmethod
+    def known(cls, f: Fitted) -> EffectTerm:
+        """An effect whose numbers stay as they are."""
+        effect = get(f.effect)
+        return cls(effect, {x.symbol: f.values[x.symbol] for x in effect.shapes}, tuple(f.values[t.symbol] for t in effect.terms))
 
     def columns(self, s: Signals) -> tuple[Array, ...]:
         return tuple(np.asarray(c) for c in self.effect.columns(s, self.shapes))

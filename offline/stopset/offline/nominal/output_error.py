@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.effects.base import Fitted
+from stopset.effects.base import Fitted, Signals
 from stopset.offline.nominal.filters import lag
-from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, roll_out
+from stopset.offline.nominal.open_loop import DIRECTION_WIDTH, EffectTerm, JointBatch, roll_out
 from stopset.types import Array
 
 # a velocity error counts as the way it goes in this time [s]: rad and rad/s are not addable (trap P11)
@@ -58,9 +58,8 @@ def fit_joint(batch: JointBatch, joint: str, terms: Sequence[EffectTerm] = (), d
     determined = described is None or bool(np.all(_spread(batch, (), p)[:2] < UNDETERMINED))
     if not determined:
         p = fit_lag(batch, described)
-    p = np.concatenate([p, np.zeros(sum(len(t.effect.terms) for t in terms))])
     if terms:
-        p = gauss_newton(batch, terms, p, lag_known=not determined)
+        p = gauss_newton(batch, terms, start(batch, terms, p, lag_known=not determined), lag_known=not determined)
     return _packed(batch, joint, terms, p, determined=determined)
 
 
@@ -82,6 +81,48 @@ def fit_lag(batch: JointBatch, described: float | None = None) -> Array:
     few = _lag_misfit(batch.trials(np.argsort(-np.ptp(batch.q, axis=0), kind="stable")[:FEW]))
     near = [least_squares(few, [np.log(J), np.log(v), 0.0], method="lm").x for J, v in STARTS]
     return np.asarray(least_squares(misfit, min(near, key=lambda p: float(np.sum(misfit(p) ** 2))), method="lm").x)
+
+
+def start(batch: JointBatch, terms: Sequence[EffectTerm], plain: Array, *, lag_known: bool = False) -> Array:
+    """Where the fit with ``terms`` begins: the ``plain`` lag found without them, or what the measured motion tells, whichever simulates better.
+
+    A lag found without a strong effect has taken up what it could of it, and from there the fit may end with no inertia at all.
+    """
+    bounded = (np.clip(plain[:2], -FAR, FAR), plain[2:])
+    p = np.concatenate([*bounded, *(np.array(t.given or np.zeros(len(t.effect.terms))) for t in terms)])
+    other = None if lag_known else _along_the_measurement(batch, terms)
+    starts = [p] if other is None else [p, other]
+    return min(starts, key=lambda x: float(np.sum(residuals(batch, terms, x, with_jacobian=False)[0] ** 2)))
+
+
+def _along_the_measurement(batch: JointBatch, terms: Sequence[EffectTerm]) -> Array | None:
+    """``log J, log v, offset`` and terms by least squares on the equation of motion, integrated along the measured motion.
+
+    None where they are no lag's, or an effect has a memory that the measurement does not hold.
+    """
+    if any(t.effect.states for t in terms):
+        return None
+    elapsed = batch.dt * np.arange(len(batch.u))[:, None]
+    s = Signals(
+        q=batch.q, dq=batch.dq, given_direction=np.tanh(batch.dq / DIRECTION_WIDTH), load=batch.load, temp=batch.temp,
+        warm=batch.warm, t=elapsed,
+    )  # fmt: skip
+
+    def impulse(x: Array) -> Array:  # torques are held over a step, as in the simulation
+        held = np.broadcast_to(x, batch.u.shape)[:-1]
+        return np.vstack([np.zeros_like(batch.u[:1]), np.cumsum(held * batch.dt, axis=0)])
+
+    known = [v for t in terms for v in (t.given or (None,) * len(t.effect.terms))]
+    columns = [impulse(c) for t in terms for c in t.columns(s)]
+    y = impulse(batch.u) - sum(v * c for v, c in zip(known, columns, strict=True) if v is not None)
+    free = [c for v, c in zip(known, columns, strict=True) if v is None]
+    X = np.stack([batch.dq - batch.dq[0], batch.q - batch.q[0], elapsed + 0.0 * batch.q, *free], axis=2)[batch.inside]
+    size = np.linalg.norm(X, axis=0) + 1e-30
+    found = np.linalg.lstsq(X / size, y[batch.inside], rcond=1e-10)[0] / size
+    if found[0] <= 0.0 or found[1] <= 0.0:
+        return None
+    others = iter(found[3:].tolist())
+    return np.array([*np.log(found[:2]), found[2], *(next(others) if v is None else v for v in known)])
 
 
 def _lag_misfit(batch: JointBatch) -> Callable[[Array], Array]:
@@ -124,15 +165,15 @@ def gauss_newton(
 ) -> Array:
     """Levenberg's damped steps from ``p`` (log J, log v, offset, effects' terms) until the cost falls no more.
 
-    ``lag_known``: inertia and damping stay as they are.
+    ``lag_known``: inertia and damping stay as they are; so do terms whose values are given.
     """
     damping = 1e-3
-    lo = np.array([-np.inf] * 3 + [t.lo for x in terms for t in x.effect.terms])
-    hi = np.array([np.inf] * 3 + [t.hi for x in terms for t in x.effect.terms])
+    known = np.array([lag_known, lag_known, False, *(bool(x.given) for x in terms for _ in x.effect.terms)])
+    lo = np.array([-FAR, -FAR, -np.inf] + [t.lo for x in terms for t in x.effect.terms])
+    hi = np.array([FAR, FAR, np.inf] + [t.hi for x in terms for t in x.effect.terms])
     for _ in range(steps):
         e, D = residuals(batch, terms, p, with_jacobian=True)
-        if lag_known:
-            D[:, :2] = 0.0
+        D[:, known] = 0.0
         cost, A, g = float(e @ e), D.T @ D, D.T @ e
         for _ in range(6):
             trial = np.clip(p - np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), g), lo, hi)

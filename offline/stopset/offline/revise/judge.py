@@ -16,9 +16,11 @@ from stopset.artifact.inputs import entry
 from stopset.effects import get
 from stopset.effects.base import Fitted
 from stopset.effects.selection import parse_effect
+from stopset.errors import RecordingError
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.compensated import OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import settled
 from stopset.offline.diagnose.question import question
@@ -34,7 +36,10 @@ NO_TRACE = "the data show no trace of it, so there are no numbers to add"
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One effect held against data that the fit has not seen; ``why`` it was refused, empty where it was taken."""
+    """One effect held against data that the fit has not seen; ``why`` it was refused, empty where it was taken.
+
+    ``beside``: what else was found at its joint, and not asked for; its numbers are those beside these.
+    """
 
     name: str
     before: dict[str, float]
@@ -42,6 +47,7 @@ class Judged:
     helps: bool
     enters: str  # where it goes in the model
     why: str = ""
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,20 +79,54 @@ class Judge:
 def by_simulation(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
-    """Judge effects on compensated torque; ``first``: errors that are known already."""
-    errors = start = dict(first) if first else judge.simulated(settings, ())
+    """Judge effects on compensated torque: what the diagnosis names is taken, with its numbers; the rest by whether it helps.
+
+    ``first``: errors that are known already.
+    """
+    found = _named_by_simulation(judge, names)
+    claims = {name: found.matching(name) if found else [] for name in names}
+    order = [r for name in names for r in claims[name]]
+    steps = dict(zip((r.label for r in order), found.steps(order) if found else (), strict=True))
+    at_first = {r.joints[0]: steps[r.label][0] for r in reversed(order)}
+    errors = start = _with_position(first or judge.simulated(settings, ()), at_first)
     judged = []
     for name in names:
         judge.progress(f"judging {name} on held-out data")
         more = replace(settings, effects=(*settings.effects, name))
         after = judge.simulated(more, ())
         effect, joints = parse_effect(name, judge.robot)
-        helps = _helps(errors, after, joints, shift=effect.enters in SHIFTS)
-        why = "" if helps or force else "it does not lower the error on held-out data"
-        judged.append(Judged(name, errors, after, helps, entry(effect), why))
-        if not why:
+        if claims[name]:
+            mine = {r.joints[0]: steps[r.label] for r in claims[name]}
+            before, after = (_with_position(x, {j: e[k] for j, e in mine.items()}) for k, x in enumerate((errors, after)))
+            beside = found.besides(order, mine) if found else ()
+            judged.append(Judged(name, before, after, helps=True, enters=entry(effect), beside=beside))
+        else:
+            helps = _helps(errors, after, joints, shift=effect.enters in SHIFTS)
+            why = "" if helps or force else "it does not lower the error on held-out data"
+            judged.append(Judged(name, errors, after, helps, entry(effect), why))
+        if not judged[-1].why:
             settings, errors = more, after
-    return Judgement(tuple(judged), start, settings, (), judge.halves.words)
+    retained = retained_effects(judge.model)
+    known = found.with_claims(retained, order) if found else retained
+    return Judgement(tuple(judged), start, settings, known, judge.halves.words)
+
+
+def _named_by_simulation(judge: Judge, names: Sequence[str]) -> OpenLoop | None:
+    """What the diagnosis finds missing; None where nothing was repeated, so that it can judge nothing."""
+    judge.progress("estimating what was asked for, beside every effect of the catalogue")
+    recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
+    joints = {joint for name in names for joint in parse_effect(name, judge.robot)[1]}
+    try:
+        return search_open_loop(judge.model, recordings, judge.campaign.seen.survey, judge.progress, joints=joints)
+    except RecordingError:
+        return None
+
+
+def _with_position(simulated: Mapping[str, float], at: Mapping[str, float]) -> dict[str, float]:
+    """Simulated errors with those of the diagnosis at its joints."""
+    key = HELD_OUT[2]
+    each = {k: x for k, x in simulated.items() if k.startswith(f"{key}:")} | {f"{key}:{j}": e for j, e in at.items()}
+    return dict(simulated) | {key: _rms(each.values())} | each
 
 
 def retained_effects(model: Model) -> tuple[Fitted, ...]:

@@ -25,7 +25,7 @@ class ArmSignals:
     data: Prepared
     compensated: bool = False  # the torque is u of eq. (11): the rigid body's torque was taken off already
     gain: float = 1.0  # recorded over true torque: what a new load adds to the record
-    gain_std: float = field(default_factory=lambda: limit.DRIVES)
+    gain_std: float = 0.0  # how far that may be off; 0 where no model says it and the recordings' own scale is taken
     friction: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) F_c, F_v of the fit so far
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     body: Array = field(default_factory=lambda: np.zeros(0))  # (10 n,) how far the links are off the description by the last fit

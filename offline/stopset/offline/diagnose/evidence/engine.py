@@ -46,6 +46,7 @@ class Engine:
     cad: Index  # base columns whose prior is the robot description
     rotors: Index  # and those whose prior is the data sheet
     stamps: Index  # and those of the stamps, by joint
+    drives: int  # and that of the torque's scale, common to the drives
     size: int  # columns in all; column 0 is y
     scales: tuple[float, ...]  # how far links and rotors may be off, for evidence to choose from
     rotor_scales: tuple[float, ...]
@@ -99,6 +100,7 @@ class Engine:
             base.astype(np.intp),
             own[:, 0].astype(np.intp),
             own[:, 4].astype(np.intp),
+            1 + 15 * n,
             2 + 15 * n,
             scales,
             (1.0,) if known else limit.ROTOR_SCALES,

@@ -55,13 +55,27 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
     for number, symbol, at in shapes:
         out[number][symbol] = float(sd[at])
     for c, deviation in zip(claims, out, strict=True):
-        if c.effect.carried:  # a load is known no better than the torque it is weighed with
+        if c.effect.carried:  # a load is known no better than the torque it is weighed with: where that is too large, it is, too
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
-                deviation[t.symbol] = float(np.hypot(deviation[t.symbol], engine.source.gain_std * theta[place[k]]))
+                a = np.zeros(len(full))
+                a[place[k]] = 1.0
+                a[place[engine.drives]] = 0.0 if engine.source.gain_std else -theta[place[k]]
+                own = float(np.sqrt(max(a @ inverse @ a, a @ clustered @ a)))
+                deviation[t.symbol] = float(np.hypot(own, engine.source.gain_std * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
             symbol = c.effect.terms[0].symbol
             deviation[symbol] = float(np.hypot(deviation[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
     return out
+
+
+def drives_scale(now: Hypothesis, theta: Array) -> float:
+    """Recorded over true torque of all drives, by a fit; ``theta``: coefficients of ``now``.
+
+    1 where a model says it already (a load's columns hold it then): what such a fit finds besides is no matter of the drives.
+    """
+    if now.engine.source.gain_std:
+        return 1.0
+    return 1.0 + float(theta[now.nuisance.tolist().index(now.engine.drives)])
 
 
 def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int, Array]:
