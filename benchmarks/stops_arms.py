@@ -22,10 +22,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from stop_arms_wide import arms
 
-from stop_sampling import sample_stops, tightness
+from stop_sampling import point_motion, sample_stops, tightness
 from stopset.artifact import Model
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.cartesian import SLICES, slices
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import tubes_of

@@ -23,12 +23,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from stop_arms import prbt_like, uncertain_rotors, ur5_like
 
-from stop_sampling import sample_stops, tightness
+from stop_sampling import point_motion, sample_stops, tightness
 from stop_tubes import tube_of
 from stopset.artifact import Model
 from stopset.core.library import ffi, lib
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.cartesian import SLICES, point_motion, slices
+from stopset.reach.stops.cartesian import SLICES, slices
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK
 from stopset.reach.stops.tubes import tubes_of

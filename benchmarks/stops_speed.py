@@ -19,11 +19,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from stop_arms import prbt_like, ur5_like
+from stop_arms_wide import arms
 
 from stop_certificate import Certificate, certify
 from stop_sampling import DT
 from stop_tubes import tube_of
 from stopset.reach.stops import StopBounds
+from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, Stride, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
@@ -76,9 +78,26 @@ def wider(bounds: StopBounds, top: float, count: int) -> float:
     return float(np.median(ratio))
 
 
+def boxes(states: int = 12) -> None:
+    """Boxes of the monitor on each arm of `stop_arms_wide` with its load, by the core alone."""
+    print(f"boxes of +-0.01 rad and +-0.05 rad/s by the core, rated load, {states} states: median [ms], worst [ms], with a bound")
+    for name, (model, top) in arms().items():
+        rated, n, rng = model.domain.payload[1], model.n, np.random.default_rng(1)
+        setting = StopBounds.of(model, (0.98 * rated, rated)).setting
+        assert setting is not None
+        core, spent, found = CompiledStops.of(setting), [], 0
+        for _ in range(states):
+            q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top
+            start = time.thread_time_ns()
+            found += core.bound(q, dq, "0", np.full(n, 0.01), np.full(n, 0.05)) is not None
+            spent.append((time.thread_time_ns() - start) / 1e6)
+        print(f"  {name}, {rated:.3g} kg: {np.median(spent):.2f}, {max(spent):.2f}, {found} of {states}")
+
+
 FRESH = """
 import time; a = time.perf_counter()
 import numpy as np; from stop_arms import prbt_like; from stopset.reach.stops import StopBounds
+from stopset.reach.stops.compiled import CompiledStops
 b = time.perf_counter(); bounds = StopBounds.of(prbt_like(), (0.0, 0.25))
 c = time.perf_counter(); bounds.bound(np.full(6, 0.3), np.full(6, 0.5))
 d = time.perf_counter(); bounds.bound(np.full(6, -0.3), np.full(6, 0.6))
@@ -164,6 +183,12 @@ def main() -> None:
         f"whole bound where the kinetic energy has to help (UR5-like, a quarter of the rotors, 5 kg): median {np.median(hard):.0f} ms, "
         f"in the monitor's steps {np.median(loop):.0f} ms, at most {max(loop):.0f} ms, angle {np.median(wide):.2f} times as large"
     )
+    loop, core = replace(bounds, fast=True), CompiledStops.of(s)
+    from_python, alone = median_us(lambda: loop.bound(q, dq), 200), median_us(lambda: core.bound(q, dq), 200)
+    print(
+        f"one bound in the monitor's steps: by the core with the tool's way {alone:.0f} us, all that Python tells of it {from_python:.0f} us"
+    )
+    boxes()
     print(f"a new model's first bound {again * 1e3:.0f} ms")
     imports, preparing, first, second = fresh_process()
     print(

@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stopset.reach.stops.cartesian import Slices, reached
 from stopset.reach.stops.tube import Plant, Tube
 from stopset.reach.stops.tubes import stopped_after
-from stopset.robot.rigid import link_frames, mass_matrix
+from stopset.robot.rigid import Chain, link_frames, mass_matrix
 from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
 
@@ -24,6 +25,12 @@ PIECES = 8  # of the horizon, with a constant disturbance each
 # 1.0e-6 rad and 6e-4 rad/s, the latter at brake onset and rest only (see benchmarks).
 ANGLE_ERROR = 2e-6  # [rad]
 SPEED_ERROR = 1e-3  # [rad/s]
+
+
+def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
+    """How far [m] and how fast [m/s] one point of a link can get, and the box (3, 2) [m] of its displacements."""
+    (found,) = reached(chain, q, q_radius, parts, [link], [point])
+    return found.far, found.fast, found.box
 
 
 class Samples(NamedTuple):

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from core_calls import maths, point_jacobian, solve_inclusion
 from stop_certificate import follow
+from stop_sampling import point_motion
 from stopset.core.library import ffi, integers, lib, view
-from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
+from stopset.reach.stops.cartesian import slices, swept_capsules
 from stopset.reach.stops.expansion import Curvature
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.tube import OK, Plant, Stride, march

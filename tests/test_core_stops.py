@@ -15,7 +15,7 @@ from core_plants import LYING, UPRIGHT, bodies, chain_of, planar, plant_of, powe
 from stop_sampling import sample_stops
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.cartesian import SLICES, point_sets, slices
+from stopset.reach.stops.cartesian import SLICES, reached, slices
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.start import Start
@@ -225,7 +225,7 @@ def test_a_point_whose_ways_are_not_known_has_the_sets_of_its_box() -> None:
     q, dq, r = np.full(6, 0.3), np.full(6, 0.5), s.noise.radius[:6]
     cut = slices(march_box(s, s.plant, Start(q, dq, r, s.noise.radius[6:]), energetic=True), SLICES)
     assert cut.left is not None
-    none = point_sets(s.plant.chain, q, r, cut._replace(near_lo=None, near_hi=None, left=None), 5, s.payload_com)
-    unknown = point_sets(s.plant.chain, q, r, cut._replace(left=np.full_like(cut.left, np.inf)), 5, s.payload_com)
+    none = reached(s.plant.chain, q, r, cut._replace(near_lo=None, near_hi=None, left=None), [5], [s.payload_com])[0]
+    unknown = reached(s.plant.chain, q, r, cut._replace(left=np.full_like(cut.left, np.inf)), [5], [s.payload_com])[0]
     for a, b in zip(none, unknown, strict=True):
         assert np.array_equal(a, b)

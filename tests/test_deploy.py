@@ -9,6 +9,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import time
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
@@ -17,8 +18,10 @@ from types import ModuleType
 import pytest
 
 from monitor_arm import known_model, meta, motion, with_torque_scaled
-from monitor_process import environment
+from monitor_process import environment, free_port
 from stopset.artifact import save_model
+from stopset.errors import BusError
+from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.recording import write_recordings
 
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
@@ -82,16 +85,26 @@ def test_the_image_is_pinned_without_a_compiler_and_nobodys_root() -> None:
     assert [rest for word, rest in final if word == "USER"] == ["10001"]
     health = next(rest for word, rest in final if word == "HEALTHCHECK")
     assert '"--check"' in health and '"--config"' in health
-    compose = (DEPLOY / "container/compose.yaml").read_text()
-    for line in (
-        "read_only: true",
-        "cap_drop: [ALL]",
-        "no-new-privileges:true",
-        "restart: always",
-        'user: "10001"',
-        "STOPSET_IMAGE:?",
-    ):
-        assert line in compose, line
+
+
+def test_the_container_runs_shut_in_and_is_begun_again() -> None:
+    yaml = pytest.importorskip("yaml")
+    (service,) = yaml.safe_load((DEPLOY / "container/compose.yaml").read_text())["services"].values()
+    assert service["read_only"] is True and service["cap_drop"] == ["ALL"] and "cap_add" not in service
+    assert "privileged" not in service and service["security_opt"] == ["no-new-privileges:true"]
+    assert service["user"] == "10001" and service["restart"] == "always" and service["image"].startswith("${STOPSET_IMAGE:?")
+    assert "/etc/stopset:/etc/stopset:ro" in service["volumes"] and any(
+        v.endswith(":/var/lib/stopset") for v in service["volumes"]
+    )
+    assert service["ulimits"] == {"memlock": -1, "rtprio": 40} and service["network_mode"] == "host"
+
+
+@pytest.mark.parametrize("wheel", ["nothing.whl", "numpy-2.0-py3-none-any.whl", "stopset-1.0.tar.gz", ""])
+def test_what_is_no_wheel_of_stopset_is_not_installed(tmp_path: Path, wheel: str) -> None:
+    (tmp_path / "numpy-2.0-py3-none-any.whl").write_text("")
+    (tmp_path / "stopset-1.0.tar.gz").write_text("")
+    done = sh(DEPLOY / "install.sh", *([tmp_path / wheel] if wheel else []))
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and done.stdout == ""
 
 
 @pytest.mark.parametrize(
@@ -143,6 +156,34 @@ def test_certificates_that_end_are_told_and_renewed_by_the_same_authority(tmp_pa
     assert sh(pki / "expiry.sh", tmp_path / "nowhere").returncode == 2
     (tmp_path / "ca.key").unlink()
     assert sh(pki / "renew-certs.sh", tmp_path, "localhost").returncode == 2
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make certificates with")
+def test_a_certificate_that_has_ended_opens_nothing_until_it_is_renewed(tmp_path: Path) -> None:
+    """Real sessions by the shipped files: the look at certificates is red before anybody is shut out, and renewing opens again."""
+    zenoh, pki, port, name = DEPLOY / "zenoh", tmp_path / "pki", free_port(), "stopset-plc"
+    assert sh(zenoh / "pki/make-certs.sh", pki, "localhost", name).returncode == 0
+    for file in ("router", "plc"):
+        text = (zenoh / f"{file}.json5").read_text().replace("/etc/stopset/zenoh/pki", str(pki))
+        text = text.replace("0.0.0.0:7447", f"127.0.0.1:{port}").replace("router.cell.local:7447", f"localhost:{port}")
+        (tmp_path / f"{file}.json5").write_text(text)
+    router = ZenohLink(file=tmp_path / "router.json5")
+    try:
+        ZenohLink(file=tmp_path / "plc.json5").close()
+        (pki / "ended.ext").write_text(f"subjectAltName=DNS:{name}\nextendedKeyUsage=serverAuth,clientAuth\n")
+        request = ("openssl", "req", "-new", "-key", pki / f"{name}.key", "-subj", f"/CN={name}", "-out", pki / "ended.csr")
+        ended = ("openssl", "x509", "-req", "-in", pki / "ended.csr", "-CA", pki / "ca.pem", "-CAkey", pki / "ca.key", "-CAcreateserial",
+                 "-days", "0", "-extfile", pki / "ended.ext", "-out", pki / f"{name}.pem")  # fmt: skip
+        assert sh(*request).returncode == 0 == sh(*ended).returncode
+        time.sleep(1.5)
+        done = sh(zenoh / "pki/expiry.sh", pki)
+        assert done.returncode == 1 and f"{name}.pem ends within 30 days" in done.stdout
+        with pytest.raises(BusError, match="no zenoh session with"):
+            ZenohLink(file=tmp_path / "plc.json5")
+        assert sh(zenoh / "pki/renew-certs.sh", pki, "localhost", name).returncode == 0
+        ZenohLink(file=tmp_path / "plc.json5").close()
+    finally:
+        router.close()
 
 
 def version(folder: Path, healthy: bool) -> Path:

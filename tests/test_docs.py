@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import shlex
 import subprocess
@@ -16,6 +17,11 @@ from stopset.cli.main import commands, parser_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "deploy").rglob("*.md"))]
+LINKING = [
+    p
+    for p in sorted(ROOT.rglob("*.md"))
+    if not {".venv", "node_modules", "docs", "site"} & {*p.relative_to(ROOT).parts} and ".pytest" not in str(p)
+]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.S | re.M)
 
 
@@ -52,6 +58,31 @@ def test_every_command_in_the_docs_is_one(page: str, line: str) -> None:
         pytest.fail(f"{page}: {line} ends with {e.code}")
 
 
+def heading(line: str) -> str:
+    """The anchor of a heading, as both the site and a repository's pages make it of plain words."""
+    return re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", line.lstrip("#").strip().lower()))
+
+
+@pytest.mark.parametrize("page", LINKING, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_no_link_leads_nowhere(page: Path) -> None:
+    """Of the pages that the site does not hold, whose links nobody else follows: files, and headings in them."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        led = (page.parent / name).resolve() if name else page
+        assert led.exists(), f"{page.name}: {target}"
+        if anchor:
+            lines = led.read_text(encoding="utf-8").splitlines()
+            assert anchor in {heading(line) for line in lines if line.startswith("#")}, f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("page", [*PAGES, *LINKING], ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_every_script_that_is_named_is_there(page: Path) -> None:
+    named = re.findall(r"(?<![\w/.-])((?:benchmarks|deploy|tests|\.ci|docs)/[\w./-]*\w)", page.read_text(encoding="utf-8"))
+    assert not [n for n in named if not (ROOT / n).exists()]
+
+
 def test_a_wrong_option_is_noticed() -> None:
     with pytest.raises(SystemExit):
         parser_of("stops").parse_args(["arm.model.json", "--of-after", "0.6"])
@@ -73,6 +104,10 @@ def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> Non
         timeout=600,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads((site / "search/search_index.json").read_text(encoding="utf-8"))["docs"]
+    assert any("canary" in d["text"] and d["location"].startswith("fleet.html") for d in found), (
+        "what is written can be searched for"
+    )
     written = sorted(site.rglob("*.html"))
     assert len(written) > 40
     loads = re.compile(r"<(?:script|img|iframe|source|link)\b[^>]*?\b(?:src|href)=\"?(?:https?:)?//", re.I)

@@ -19,7 +19,8 @@ from fmu_unit import unit
 from stopset.artifact import Model
 from stopset.cli.main import main
 from stopset.effects import Fitted
-from stopset.fmu import Contents, archive, export
+from stopset.files import cache_folder
+from stopset.fmu import Contents, archive, build, export
 from stopset.fmu.build import native
 from stopset.fmu.check import SUMS, check_fmu
 from stopset.fmu.reference import reference, reference_texts
@@ -358,6 +359,25 @@ def test_reference_is_the_python_prediction() -> None:
 def test_same_model_same_bytes() -> None:
     model = arm_model()
     assert archive(model, Contents(3, (str(HERE),))) == archive(model, Contents(3, (str(HERE),)))
+
+
+def test_the_core_is_compiled_once_for_all_models_and_each_part_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And compiled in two places it has the same bytes."""
+    here = archive(arm_model(2, horizon=0.1), Contents(3, (str(HERE),), reference=False))
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache_folder() / "zig"))  # the compiler's own libraries are not asked about
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    compiled: list[str] = []
+    run = build._run
+    monkeypatch.setattr(
+        build, "_run", lambda words, *rest: (compiled.extend(w for w in words if w.endswith(".c")), run(words, *rest))
+    )
+    for horizon, core in ((0.1, True), (0.2, False)):
+        said: list[str] = []
+        compiled.clear()
+        there = archive(arm_model(2, horizon=horizon), Contents(3, (str(HERE),), reference=False), said.append)
+        assert "model_data.c" in compiled and ("core/rigid.c" in compiled) is core
+        assert (there == here) is core
+        assert [line[: len("compiled 1 of 2")] for line in said[:2]] == ["compiled 1 of 2", "compiled 2 of 2"]
 
 
 def test_reference_options_are_plain_numbers() -> None:

@@ -1,7 +1,8 @@
-"""The FMU called in any order with any values, under the address, undefined-behaviour and leak sanitizers."""
+"""The FMU called in any order with any values, under the sanitizers and under valgrind."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import zipfile
@@ -24,41 +25,64 @@ def whole() -> Model:
     return replace(model, abstraction=build(3, 2, model.robot, model.rotor, model.abstraction.viscous))
 
 
+LASTING = (*EFFECTS[:2], friction("hysteresis", "axis_1", F_h=2.0, delta=0.01))
+MODELS = {
+    "linear": braking(),
+    "effects": braked(8.0, 3, effort="motor_torque", effects=LASTING),
+    "cubic": braked(8.0, 2, cubic=0.2),
+    "model 3": whole(),
+}
 CALLS = 100  # runs of 60 calls each
+CALLS_SLOW = 12  # under valgrind, which takes some forty times as long
 
 
-@pytest.mark.parametrize(
-    ("name", "model"),
-    [
-        ("linear", braking()),
-        ("effects", braked(8.0, 3, effort="motor_torque", effects=(*EFFECTS[:2], friction("hysteresis", "axis_1", F_h=2.0, delta=0.01)))),
-        ("cubic", braked(8.0, 2, cubic=0.2)),
-        ("model 3", whole()),
-    ],
-)  # fmt: skip
-def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, model: Model) -> None:
+def fuzzer(folder: Path, model: Model, *options: str) -> list[str]:
+    """The command of the unit's own sources with calls in any order, but for seed and number of runs behind the token."""
     gcc = shutil.which("gcc")
     if gcc is None:
         pytest.skip("gcc is not installed")
     pytest.importorskip("fmpy")
-    (tmp_path / "u.fmu").write_bytes(archive(model, Contents(3, source_only=True, reference=False)))
-    with zipfile.ZipFile(tmp_path / "u.fmu") as z:
-        z.extractall(tmp_path)
-    token = (tmp_path / "modelDescription.xml").read_text().split('instantiationToken="')[1].split('"')[0]
-    units = sorted(str(p) for p in (tmp_path / "sources").rglob("*.c"))
-    sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
-    command = [gcc, "-std=c11", "-O1", "-g", "-ffp-contract=off", *sanitize, "-I", str(tmp_path / "sources")]
+    (folder / "u.fmu").write_bytes(archive(model, Contents(3, source_only=True, reference=False)))
+    with zipfile.ZipFile(folder / "u.fmu") as z:
+        z.extractall(folder)
+    token = (folder / "modelDescription.xml").read_text().split('instantiationToken="')[1].split('"')[0]
+    units = sorted(str(p) for p in (folder / "sources").rglob("*.c"))
+    command = [gcc, "-std=c11", "-O1", "-g", "-ffp-contract=off", *options, "-I", str(folder / "sources")]
     source = str(Path(__file__).with_name("fmu_fuzz.c"))
-    subprocess.run([*command, source, *units, "-lm", "-o", str(tmp_path / "fuzz")], check=True, timeout=600)
+    subprocess.run([*command, source, *units, "-lm", "-o", str(folder / "fuzz")], check=True, timeout=600)
+    return [str(folder / "fuzz"), token]
+
+
+def places(model: Model) -> list[str]:
+    """Which variables the promises are about."""
     v = variables(model)
-    sizes = [len(v.of(kind)) for kind in KINDS]
-    first = [v.reference(f"{stem}_axis_1") for stem in ("q_lo", "q_hi")]
-    places = [*sizes, *first, model.n, v.reference("stop_time_axis_1"), v.reference("tcp_stop_speed"), v.reference("covered")]
-    places += [v.reference("stop_certified"), v.reference("measured"), len(v.arrays)]
-    arguments = [token, "1", str(CALLS), *map(str, places)]
-    done = subprocess.run([str(tmp_path / "fuzz"), *arguments], capture_output=True, text=True, timeout=600, check=False)
+    out = [*(len(v.of(kind)) for kind in KINDS), *(v.reference(f"{stem}_axis_1") for stem in ("q_lo", "q_hi")), model.n]
+    out += [v.reference(k) for k in ("stop_time_axis_1", "tcp_stop_speed", "covered", "stop_certified", "measured")]
+    return [str(x) for x in (*out, len(v.arrays))]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str) -> None:
+    """Under the address and undefined-behaviour sanitizers; that of leaks comes with the first."""
+    sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
+    command = [*fuzzer(tmp_path, MODELS[name], *sanitize), "1", str(CALLS), *places(MODELS[name])]
+    leaks = {**os.environ, "ASAN_OPTIONS": "detect_leaks=1"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, env=leaks)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     words = done.stdout.split()
     assert words[0] == "ok"
     errors, covered, certified = int(words[1]), int(words[3]), int(words[6])
     assert errors > 100 and covered > 100 and certified > 100, f"every promise was looked at often: {words}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MODELS)
+def test_valgrind_finds_nothing_and_nothing_is_lost(tmp_path: Path, name: str) -> None:
+    """What no sanitizer sees: numbers that were never set, where they decide."""
+    valgrind = shutil.which("valgrind")
+    if valgrind is None:
+        pytest.skip("valgrind is not installed")
+    command = [valgrind, "-q", "--error-exitcode=9", "--leak-check=full", "--show-leak-kinds=all", "--errors-for-leak-kinds=all"]
+    command += [*fuzzer(tmp_path, MODELS[name]), "1", str(CALLS_SLOW), *places(MODELS[name])]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
+    assert done.returncode == 0 and done.stdout.startswith("ok"), done.stdout[-2000:] + done.stderr[-4000:]

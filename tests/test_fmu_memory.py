@@ -20,6 +20,7 @@ from stopset.effects import get
 from stopset.effects.signals import Samples
 from stopset.errors import EffectError
 from stopset.fmu import Contents, archive
+from stopset.fmu.check import Instance
 from stopset.fmu.reference import reference
 from stopset.fmu.variables import variables
 from stopset.types import Array
@@ -148,39 +149,33 @@ def test_another_start_is_another_motion_and_not_covered(exported: Any) -> None:
         assert out["hysteresis_z_axis_1"][0] == z and np.all(out["covered"] == covered)
 
 
-def test_a_saved_state_holds_what_was_remembered(exported: Any, tmp_path: Path) -> None:
-    """Serialised in the middle, given to another instance: both end where the first would have."""
-    from fmpy.fmi3 import FMU3Slave
-
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_saved_state_holds_what_was_remembered(exported: Any, fmi: int) -> None:
+    """Serialised in the middle, given to another instance of the same process: both end where the first would have."""
     model = wound()
-    fmu, v = exported(model, "wound", 3), variables(model)
-    description, folder = fmpy.read_model_description(fmu), fmpy.extract(fmu, str(tmp_path))
-    tau, state = [v.reference("tau_axis_1")], [v.reference(k) for k in ("q_axis_1", "hysteresis_z_axis_1")]
-    identifier = description.coSimulation.modelIdentifier
-    arms = [
-        FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=identifier, instanceName=name) for name in "ab"
-    ]
-    for arm in arms:
-        arm.instantiate()
-        arm.enterInitializationMode()
-        arm.exitInitializationMode()
+    fmu, state = exported(model, "wound", fmi), ["q_axis_1", "hysteresis_z_axis_1"]
+    description, folder = fmpy.read_model_description(fmu), fmpy.extract(fmu)
+    a, b = (Instance(description, folder) for _ in "ab")
+    for arm in (a, b):
+        arm.slave.exitInitializationMode()
 
-    def play(arm: Any, rows: range) -> list[float]:
+    def play(arm: Instance, rows: range) -> list[float]:
         for k in rows:
-            arm.setFloat64(tau, [15.0 * np.sin(0.2 * k)])
-            arm.doStep(currentCommunicationPoint=k * DT, communicationStepSize=DT)
-        return [float(x) for x in arm.getFloat64(state)]
+            arm.set("tau_axis_1", 15.0 * np.sin(0.2 * k))
+            arm.step(k * DT, DT)
+        return arm.get(state).tolist()  # type: ignore[no-any-return]
 
-    a, b = arms
+    name = "FMUstate" if fmi == 2 else "FMUState"
+    get, put = (lambda u: getattr(u.slave, f"get{name}")()), (lambda u, x: getattr(u.slave, f"set{name}")(x))
     halfway = play(a, range(50))
-    saved = a.getFMUState()
-    stored = a.serializeFMUState(saved)
+    saved = get(a)
+    stored = getattr(a.slave, f"serialize{name}")(saved)
     end = play(a, range(50, 100))
     assert abs(end[1] - halfway[1]) > 0.05, "what is remembered went on"
-    b.setFMUState(b.deserializeFMUState(stored))
-    assert [float(x) for x in b.getFloat64(state)] == halfway
+    put(b, getattr(b.slave, f"{'deSerialize' if fmi == 2 else 'deserialize'}{name}")(stored))
+    assert b.get(state).tolist() == halfway
     assert play(b, range(50, 100)) == end
-    a.setFMUState(saved)
+    put(a, saved)
     assert play(a, range(50, 100)) == end
 
 

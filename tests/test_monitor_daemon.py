@@ -17,11 +17,13 @@ import pytest
 
 from monitor_arm import DT, known_model, motion
 from monitor_process import free_port, running, write_config
-from stopset.artifact import save_model
+from patience import wait
+from stopset.artifact import Model, save_model
 from stopset.errors import BusError, NotCovered
 from stopset.monitor.config import Bus, Config, Fallback, Publish, Stops
 from stopset.monitor.daemon import MAX_FAULTS, Daemon
 from stopset.monitor.layout import Flag, State, unpack
+from stopset.monitor.reloading import Reloading
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import SampleSource
 
@@ -234,6 +236,42 @@ def drain(s: socket.socket) -> list[str]:
             out.append(s.recv(4096).decode())
     except BlockingIOError:
         return out
+
+
+def test_evidence_is_asked_for_as_the_model_of_now_allows(make: Callable[..., Made]) -> None:
+    """A model of longer predictions had been held against those of half the first one's horizon only: OK too soon."""
+    daemon, _, wire = make([], publish={"evidence_min_s": 0.15})
+    assert daemon.limits.evidence == 0.15
+    horizons = [0.04, 0.4]
+    daemon.reloading.load = lambda: known_model(horizon=horizons.pop(0))
+    for k, evidence in enumerate((0.5 * 0.04, 0.15)):
+        daemon.reloading.asked = True
+        assert wait(lambda n=k: daemon.cycle() or [e["kind"] for e in wire.slow["event"]].count("reloaded") > n)  # type: ignore[misc]
+        assert daemon.limits.evidence == pytest.approx(evidence) and daemon.verdict is None
+    daemon.close()
+
+
+def test_a_reload_asked_for_while_one_is_under_way_comes_after_it() -> None:
+    """The file may have become another since it was read."""
+    begun, go = [0], threading.Event()
+
+    def load() -> Model:
+        begun[0] += 1
+        go.wait(60.0)
+        raise NotCovered(f"model {begun[0]}")
+
+    reloading, answers = Reloading(load, lambda model: pytest.fail("none is loaded")), list[Any]()
+
+    def turn() -> int:
+        answers.extend(filter(None, [reloading.turn(("a",))]))
+        return len(answers)
+
+    reloading.asked = True
+    assert wait(lambda: turn() == 0 and begun[0] == 1)
+    reloading.asked = True
+    turn()
+    go.set()
+    assert wait(lambda: turn() == 2) and answers == ["model 1", "model 2"]
 
 
 def test_a_model_of_another_cycle_is_refused_at_the_start(tmp_path: Path) -> None:

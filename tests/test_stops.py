@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from stop_certificate import certify
-from stop_sampling import sample_stops, tightness, tube_at
+from stop_sampling import point_motion, sample_stops, tightness, tube_at
 from stop_tubes import tube_of
 from stopset.artifact import Brakes
 from stopset.effects import Fitted
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBounds, stop
-from stopset.reach.stops.cartesian import point_motion, slices, swept_capsules
+from stopset.reach.stops.cartesian import slices, swept_capsules
 from stopset.reach.stops.expansion import curvature, expand
 from stopset.reach.stops.parts import Parts
 from stopset.reach.stops.setting import Setting

@@ -20,7 +20,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK, Plant, Stride, march
+from stopset.reach.stops.tube import ENDLESS, OK, Plant, Stride, march
 from stopset.reach.stops.tubes import KNOTS, expected_stop, march_box, tubes_of
 from stopset.robot.rigid import Chain, mass_matrix
 from stopset.sets import Box
@@ -276,3 +276,13 @@ def test_no_holding_no_number_in_any_layer(weak: float) -> None:
     bound = StopBounds.of(replace(model, brakes=brakes), (4.75, 5.0), pieces=8).bound(q, np.full(6, 0.2))
     assert not bound.certified and bound.time is None and bound.motion is None and bound.capsules is None
     assert "no stop provable" in bound.why and "whole reach" in bound.why
+
+
+def test_an_arm_that_falls_on_is_given_up_soon() -> None:
+    """Brakes that hold nothing: no bound, known some steps after all have closed and not after thousands."""
+    s = StopBounds.of(ur10e_like(), (0.0, 0.0)).setting
+    assert s is not None
+    weak = s.plant._replace(brake_lo=1e-3 * s.plant.brake_lo, brake_hi=1e-3 * s.plant.brake_hi)
+    q, none = np.array([0.0, 0.3, 0.4, 0.2, 0.1, 0.0]), np.zeros(6)
+    tube = march(weak, Box(q, q), Box(none, none), Stride(1e-3, 3000), ALL_PARTS, energetic=True)
+    assert tube.end == ENDLESS and len(tube.t) < 200

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stop_sampling import DT, draw, inverse_inertia, sample_stops, start_of
+from stop_sampling import DT, draw, inverse_inertia, point_motion, sample_stops, start_of
 from stopset.artifact import Model
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.cartesian import SLICES, Slices, point_motion, slices
+from stopset.reach.stops.cartesian import SLICES, Slices, slices
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.start import Start

@@ -198,3 +198,23 @@ def test_a_tube_closes_so_where_boxes_do_not() -> None:
         r, v = s.noise.radius[:n], s.noise.radius[n:]
         closed += march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), Stride(h, KNOTS.stop * PATIENCE), ALL_PARTS).end == OK
     assert closed >= 3
+
+
+def test_columns_are_not_asked_where_rows_fail_before_most_brakes_have_closed() -> None:
+    """What neither closes costs little: the tube ends where the rows for themselves do, long before columns would."""
+    model = ur10e_like()
+    s = StopBounds.of(model, (0.98 * model.domain.payload[1], model.domain.payload[1])).setting
+    assert s is not None
+    p, rng, box = s.plant, np.random.default_rng(1), (np.full(6, 0.01), np.full(6, 0.05))
+    closing, engaged = p.delay_lo.min(), (p.delay_hi + p.rise_hi).max()
+    early = 0
+    for _ in range(6):
+        q, dq = rng.uniform(-np.pi, np.pi, 6), rng.uniform(-1.0, 1.0, 6) * model.domain.dq.hi
+        h = expected_stop(p, q, np.abs(dq)) / 100
+        tube = march(
+            p, Box(q - box[0], q + box[0]), Box(dq - box[1], dq + box[1]), Stride(h, 600, (engaged - closing) / 35), ALL_PARTS
+        )
+        share = (tube.t[-1] - closing) / (engaged - closing)
+        assert tube.end == OK or share < 0.75 or share > 1.0  # columns last until all brakes have closed, or are not asked
+        early += tube.end != OK and share < 0.75
+    assert early

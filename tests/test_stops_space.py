@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stop_sampling import DT, draw, inverse_inertia, start_of
+from stop_sampling import DT, draw, inverse_inertia, point_motion, start_of
 from stopset.errors import NotCovered
 from stopset.reach.stops import StopBound, StopBounds
-from stopset.reach.stops.cartesian import Slices, point_motion
+from stopset.reach.stops.cartesian import Slices
 from stopset.robot.rigid import link_frames
 from stopset.simulation.stop import StoppingArm, simulate_stop
 

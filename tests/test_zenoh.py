@@ -26,6 +26,7 @@ from stopset.monitor.consumer import SAYS, Fault
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.monitor.orders import Orders
 from stopset.monitor.replay import play
 from stopset.monitor.source import GAP, JointStateSource
 from stopset.monitor.viewer import View, ViewerPage, terminal
@@ -133,6 +134,28 @@ def test_two_sessions_on_loopback() -> None:
         consumer.close()
     with pytest.raises(BusError, match="no zenoh session with"):
         ZenohLink(mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+
+
+def test_a_message_longer_than_any_is_never_taken_over() -> None:
+    """Copying 300 MB from zenoh stops every thread of Python: the loop was silent for 0.9 s."""
+    port = free_port()
+    daemon = ZenohLink("a", listen=[f"tcp/127.0.0.1:{port}"], longest=1000)
+    sender = ZenohLink("a", mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+    heard: list[bytes] = []
+    try:
+        daemon.subscribe("challenge", lambda _, d: heard.append(d))
+        rest(0.2)
+        for length in (1000, 1001, 40_000_000):
+            sender.put("challenge", b"x" * length, must_arrive=True)
+        assert wait(lambda: len(heard) == 3), [len(d) for d in heard]
+        assert [len(d) for d in heard] == [1000, 1001, 1001] and set(heard[2]) == {0}
+    finally:
+        daemon.close()
+        sender.close()
+    orders = Orders()
+    orders.take("a/challenge", bytes(65537))
+    orders.take("a/reset", bytes(65537))
+    assert orders.dropped == 1 and orders.challenges() == [] and orders.reset() == (None,)
 
 
 TWIN = {

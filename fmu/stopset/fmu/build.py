@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import itertools
 import os
 import struct
 import subprocess
@@ -15,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import version
@@ -24,6 +25,7 @@ from platform import machine
 
 from stopset.errors import OutputError
 from stopset.files import cache_folder, write_bytes
+from stopset.fmu.sources import CORE
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,80 +100,103 @@ def _run(arguments: Sequence[str], folder: Path, platform: Platform) -> None:
         )
 
 
-def compile_library(folder: Path, units: Sequence[str], platform: Platform, identifier: str) -> bytes:
-    """The shared library of the C files ``units`` in ``folder`` for one platform."""
-    out = f"{identifier}-{platform.name}{platform.suffix}"
-    start = [*compiler(), "cc", "-target", platform.target]
-    # names relative to the folder, so that no path of this machine gets into the binary
-    if platform.suffix == ".dll":
-        _link_windows(folder, units, platform, start, out)
-    else:
-        extra = ["-fPIC", "-lm"] if platform.suffix == ".so" else [f"-Wl,-install_name,@rpath/{identifier}.dylib"]
-        _run([*start, *FLAGS, *LINK, "-I.", *units, *extra, "-o", out], folder, platform)
+def _objects(folder: Path, units: Sequence[str], platform: Platform, flags: Sequence[str]) -> list[str]:
+    """One object for each unit; their names."""
+    out = [f"{unit.removesuffix('.c')}-{platform.name}.o" for unit in units]
+    for unit, name in zip(units, out, strict=True):
+        _run([*compiler(), "cc", "-target", platform.target, *FLAGS, *flags, "-I.", "-c", unit, "-o", name], folder, platform)
+    return out
+
+
+def _compile_core(folder: Path, units: Sequence[str], platform: Platform) -> bytes:
+    """What does not depend on the model, as an archive."""
+    out = f"core-{platform.name}.a"
+    objects = _objects(folder, units, platform, ["-fPIC"] if platform.suffix == ".so" else [])
+    # appended, as files of two folders have one name; without times and owners
+    _run([*compiler(), "ar", "qcsD", out, *objects], folder, platform)
     return (folder / out).read_bytes()
 
 
-def _link_windows(folder: Path, units: Sequence[str], platform: Platform, start: Sequence[str], out: str) -> None:
+def _link(folder: Path, units: Sequence[str], platform: Platform, identifier: str, core: bytes) -> bytes:
+    """The shared library: the model's own units compiled, with the core."""
+    out, given = f"{identifier}-{platform.name}{platform.suffix}", f"core-{platform.name}.a"
+    (folder / given).write_bytes(core)
+    # names relative to the folder, so that no path of this machine gets into the binary
+    if platform.suffix == ".dll":
+        _link_windows(folder, units, platform, given, out)
+    else:
+        start = [*compiler(), "cc", "-target", platform.target, *FLAGS, *LINK, "-I."]
+        extra = ["-fPIC", "-lm"] if platform.suffix == ".so" else [f"-Wl,-install_name,@rpath/{identifier}.dylib"]
+        _run([*start, *units, given, *extra, "-o", out], folder, platform)
+    return (folder / out).read_bytes()
+
+
+def _link_windows(folder: Path, units: Sequence[str], platform: Platform, core: str, out: str) -> None:
     """Against msvcrt.dll alone: see core/windows.c."""
-    objects = []
-    for unit in (*units, "windows.c"):
-        plain = ["-fno-builtin"] if unit == "windows.c" else []
-        objects.append(unit.removesuffix(".c") + ".obj")
-        _run([*start, *FLAGS, *plain, "-I.", "-c", unit, "-o", objects[-1]], folder, platform)
+    objects = [*_objects(folder, units, platform, ()), *_objects(folder, ["windows.c"], platform, ["-fno-builtin"])]
     _run([*compiler(), "dlltool", "-m", "i386:x86-64", "-d", "msvcrt.def", "-l", "msvcrt.a"], folder, platform)
-    entry = "-Wl,--entry=DllMainCRTStartup"
-    _run([*start, *LINK, "-nostdlib", entry, *objects, "msvcrt.a", "-o", out], folder, platform)
+    start = [*compiler(), "cc", "-target", platform.target, *LINK, "-nostdlib", "-Wl,--entry=DllMainCRTStartup"]
+    _run([*start, *objects, core, "msvcrt.a", "-o", out], folder, platform)
     code = bytearray((folder / out).read_bytes())
     header = int.from_bytes(code[0x3C:0x40], "little")
     code[header + 8 : header + 12] = bytes(4)  # the time of linking: the same sources give the same bytes
     (folder / out).write_bytes(code)
 
 
-def _key(sources: Mapping[str, str], platform: Platform, identifier: str) -> str:
-    """Hash of everything a library depends on."""
-    everything = [version("ziglang"), identifier, repr(platform), repr(FLAGS), repr(LINK)]
+def _cached(sources: Mapping[str, str], names: Sequence[str], platform: Platform, make: Callable[[], bytes]) -> bytes:
+    """What ``make`` compiles of ``sources``, from the user's cache if it was compiled before; ``names``: what else it depends on."""
+    cache = cache_folder()
+    everything = [version("ziglang"), Path(__file__).read_text(), repr(platform), *names]  # how it is made is written here
     everything += [f"{name}\n{sources[name]}" for name in sorted(sources)]
-    return hashlib.sha256("\0".join(everything).encode()).hexdigest()
+    place = cache / "fmu" / hashlib.sha256("\0".join(everything).encode()).hexdigest() if cache else None
+    if place is not None and place.is_file():
+        return place.read_bytes()
+    made = make()
+    if place is not None:
+        place.parent.mkdir(exist_ok=True)
+        write_bytes(place, made)
+    return made
 
 
 def binaries(
     sources: Mapping[str, str], units: Sequence[str], platforms: Sequence[Platform], identifier: str,
     say: Callable[[str], None],
 ) -> dict[str, bytes]:  # fmt: skip
-    """Platform name -> library; two compilers at a time. What was compiled before is taken from the user's cache.
+    """Platform name -> library; two compilers at a time. What was compiled before is taken from the user's cache, the core for every
+    model.
 
-    ``say``: told of each library when it is there.
+    ``say``: told of each part when it is there: of every platform the core, then the library.
     """
     if not platforms:
         return {}
     compiler()  # refuses early where there is none
-    core = resources.files("stopset.fmu") / "core"
-    sources = {**sources, **{name: (core / name).read_text() for name in WINDOWS}}
-    cache = cache_folder()
+    own = resources.files("stopset.fmu") / "core"
+    sources = {**sources, **{name: (own / name).read_text() for name in WINDOWS}}
+    core = {name: text for name, text in sources.items() if name.startswith(f"{CORE}/")}
+    shared = [unit for unit in units if unit in core]
     out: dict[str, bytes] = {}
+    done, begin = itertools.count(1), time.monotonic()
     with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as name:
         folder = Path(name)
         for file, text in sources.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text)
 
+        def progress(what: str) -> None:
+            say(f"compiled {next(done)} of {2 * len(platforms)} after {time.monotonic() - begin:.0f} s: {what}")
+
         def make(platform: Platform) -> bytes:
-            place = cache / "fmu" / _key(sources, platform, identifier) if cache else None
-            if place is not None and place.is_file():
-                return place.read_bytes()
-            library = compile_library(folder, units, platform, identifier)
-            if place is not None:
-                place.parent.mkdir(exist_ok=True)
-                write_bytes(place, library)
+            made = _cached(core, ["core"], platform, lambda: _compile_core(folder, shared, platform))
+            progress(f"the core for {platform.name}")
+            rest = [unit for unit in units if unit not in core]
+            library = _cached(sources, [identifier], platform, lambda: _link(folder, rest, platform, identifier, made))
+            progress(f"the library for {platform.name}")
             return library
 
-        start = time.monotonic()
         with ThreadPoolExecutor(2) as pool:
-            jobs = {pool.submit(make, platform): platform for platform in platforms}
-            for count, job in enumerate(as_completed(jobs), start=1):
-                out[jobs[job].name] = job.result()
-                say(f"{count} of {len(jobs)} libraries after {time.monotonic() - start:.0f} s: {jobs[job].name}")
-    return {platform.name: out[platform.name] for platform in platforms}
+            for platform, library in zip(platforms, pool.map(make, platforms), strict=True):
+                out[platform.name] = library
+    return out
 
 
 def universal(slices: Mapping[str, bytes]) -> bytes:

@@ -6,16 +6,13 @@ Whatever goes wrong is published as FAULT before anything else happens: silence 
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import msgspec
-import numpy as np
 
 from stopset.artifact import Model
 from stopset.errors import BusError, NotCovered
@@ -25,25 +22,24 @@ from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Config
 from stopset.monitor.evidence.recorder import Filed, Recorder
 from stopset.monitor.latch import Latch
-from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, PREFIX, Flag, State
-from stopset.monitor.margins import exceeded, margins
+from stopset.monitor.layout import MAX_JOINTS, Flag, State
+from stopset.monitor.message import CODES, Observed, StateMessage
 from stopset.monitor.notify import Notifier
 from stopset.monitor.operators import Moment, Operators
 from stopset.monitor.orders import Orders, Reset
-from stopset.monitor.override import Advisor
 from stopset.monitor.packer import Signer
-from stopset.monitor.publisher import U64, Outlet, Publisher
+from stopset.monitor.publisher import Outlet, Publisher
 from stopset.monitor.realtime import Granted
 from stopset.monitor.reloading import Loaded, Reloading, end_beside
+from stopset.monitor.remaining import Remaining
 from stopset.monitor.report import RunCounts, Turn, health, twin
 from stopset.monitor.sample import Sample
 from stopset.monitor.source import NoSource, SampleSource
-from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide, stop_fields
+from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide
 from stopset.monitor.stopdesk import StopDesk, seen_by
 from stopset.monitor.verdict import Conformance, Verdict
 from stopset.monitor.watch import check_cycle
 
-CODES = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATION: 2, Conformance.FAULT: 3}
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it
 PATIENCE = 0.01  # [s] longest wait for a sample before the heartbeat goes out without one
 FALLBACK_IN_FORCE = int(Flag.FALLBACK_IN_FORCE)
@@ -77,25 +73,19 @@ class Daemon:
         self.clock: Clock = beside.clock or SystemClock()
         self.reloading = Reloading(beside.load, self._prepare)
         self._use(self._prepare(model, beside.desk))
-        p = config.publish
-        valid = p.valid_for_ms * 1e-3
-        self.limits = OkConditions(valid, min(valid, cycle_s), min(p.evidence_min_s, 0.5 * self.watch.horizon), p.recover_s)
+        self.recovery = Recovery(self.limits)
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
-        self.recovery, self.operators = Recovery(self.limits), Operators.of(config.operators)
+        self.operators = Operators.of(config.operators)
         self.stopping = False
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
         self._arrived = float("-inf")
         self._late_in_a_row = 0
         self._fault = self._last_words = self._disk = ""
-        self._evidence: deque[Sample] = deque(maxlen=max(1, round(p.evidence_s / cycle_s)))
+        self._evidence: deque[Sample] = deque(maxlen=max(1, round(config.publish.evidence_s / cycle_s)))
         self._next_json = self._next_health = 0.0
         self.publisher = Publisher(outlet, self.clock, self._identity(), beside.signer)
-        self.margins: dict[str, Any] | None = None
-        self.override: dict[str, Any] | None = None
-        self.advisor = Advisor(config, model.sha256) if config.limits.override else None
-        self._block: tuple[dict[str, Numbers], dict[str, int], dict[str, Any]] = ({}, {}, {})
-        self._withdrawn: dict[str, Numbers] = {}
+        self._message = StateMessage(config.fallback, model.n)
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
         outlet.serve("model", lambda: self._loaded.text)
@@ -114,10 +104,14 @@ class Daemon:
         watch = watch_for(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]), self.cycle_s)
         if desk is None:
             desk = StopDesk(c.model, seen_by(model), c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
-        return Loaded(model, text, watch, desk)
+        return Loaded(model, text, watch, desk, Remaining.of(c, model))
 
     def _use(self, loaded: Loaded) -> None:
         self._loaded, self.model, self.watch, self.desk = loaded, loaded.model, loaded.watch, loaded.desk
+        self.remaining = loaded.remaining
+        p = self.config.publish
+        valid = p.valid_for_ms * 1e-3
+        self.limits = OkConditions(valid, min(valid, self.cycle_s), min(p.evidence_min_s, 0.5 * self.watch.horizon), p.recover_s)
         if self.recorder is not None:
             self.recorder.watching(loaded.model, self.source.quantum)
 
@@ -136,14 +130,12 @@ class Daemon:
         if isinstance(answer, str):
             self.publisher.event("reload_refused", why=answer, model_sha256=self.model.sha256)
             return
-        old, before = [self.desk, *([] if self.advisor is None else [self.advisor])], self.model.sha256
+        desk, remaining, before = self.desk, self.remaining, self.model.sha256
         self._use(answer)
         self.verdict = None
         self.publisher.identity = self._identity()
         self.publisher.event("reloaded", model_sha256=self.model.sha256, before=before)
-        if self.advisor is not None:
-            self.advisor = Advisor(self.config, self.model.sha256)
-        end_beside(*old)
+        end_beside(desk, remaining)
 
     # ---- one turn -----------------------------------------------------------------------------------------------
 
@@ -217,44 +209,14 @@ class Daemon:
         flags |= held
         if not believable(state, flags):
             flags |= FALLBACK_IN_FORCE
-            numbers = self._fallback(numbers)
+            numbers = self._message.withdrawn(numbers)
         return Turn(state, flags, why, numbers)
 
-    def _fallback(self, numbers: dict[str, Numbers]) -> dict[str, Numbers]:
-        """The configured ones in place of ``numbers``, the same object every time: it need not be made a message of anew."""
-        if self._withdrawn.keys() != numbers.keys():
-            f = self.config.fallback
-            self._withdrawn = {c: Numbers.fallback(self.model.n, f.time_s, f.angle_rad, f.tcp_m) for c in numbers}
-        return self._withdrawn
-
     def _send(self, turn: Turn) -> None:
-        s, v = self.sample, self.verdict
-        first, dropped = self.latch.first, self.source.dropped + self.orders.dropped
-        joint = first.first.joint if first else ""
-        margin = -np.inf
-        if turn.numbers:
-            margin = min([x.margin for x in turn.numbers.values()])
-        values: dict[str, Any] = {
-            "t_meas_ns": min(max(0, round(s.t * 1e9)), U64) if s and math.isfinite(s.t) else 0,
-            "state": turn.state.value, "conformance": CODES[v.conformance] if v else 0, "flags": turn.flags,
-            "violation_count": min(self.latch.count, 0xFFFFFFFF), "oldest_age": v.oldest if v else 0.0,
-            "violation_class": self.latch.kind.code,
-            "first_joint": self.model.joints.index(joint) + 1 if joint in self.model.joints else 0,
-            "room_min": v.room.min() if v and v.room is not None else -np.inf, "holding_margin_min": margin,
-            "bad_nodes": s.bad_nodes if s else 0, "dropped": dropped & 0xFFFFFFFF,
-        }  # fmt: skip
-        self.publisher.state(values, self._block_of(turn.numbers))
+        observed = Observed(self.sample, self.verdict, self.latch, self.source.dropped + self.orders.dropped)
+        message, identity = self._message, self.publisher.identity
+        self.publisher.state(message.values(turn, observed, self.model.joints), message.block(turn.numbers, identity))
         self._notify.say("WATCHDOG=1")
-
-    def _block_of(self, numbers: dict[str, Numbers]) -> dict[str, Any]:
-        """The fields that stay while the stop numbers do: they are rounded once."""
-        known, identity, block = self._block
-        if known is not numbers or identity is not self.publisher.identity:
-            block = dict(self.publisher.identity)
-            for category in CATEGORIES:
-                block |= stop_fields(PREFIX[category], numbers.get(category) or Numbers.none(self.model.n, "not asked for"))
-            self._block = numbers, self.publisher.identity, block
-        return block
 
     def _obey(self, now: float) -> None:
         for nonce in self.orders.challenges():
@@ -292,28 +254,12 @@ class Daemon:
             model_sha256=self.model.sha256, config_sha256=self.config.sha256,
         )  # fmt: skip
 
-    def _measure(self, now: float, turn: Turn) -> None:
-        """What is left to the limits, if a stop began now."""
-        s, limits = self.sample, self.config.limits
-        numbers = turn.numbers.get(limits.category)
-        if s is None or numbers is None:
-            return
-        slack = (
-            self.source.quantum.q + np.maximum(np.abs(self.model.powered.V.lo), np.abs(self.model.powered.V.hi))[: self.model.n]
-        )
-        self.margins = margins(self.model.robot, limits, s.q, numbers, slack)
-        if over := exceeded(self.margins):
-            self.publisher.seldom("margin", why=f"a stop now would not keep: {', '.join(over)}", margins=self.margins)
-        if self.advisor is not None:
-            self.advisor.offer(now, s.t, s.q, s.dq)
-            said = self.advisor.said
-            self.override = (
-                None if said is None else {"percent": 100.0 * said[1], "category": limits.category, "t_ns": round(said[0] * 1e9)}
-            )
-
     def _slow_messages(self, now: float, turn: Turn) -> None:
         if now >= self._next_json:
-            self._measure(now, turn)
+            if self.sample is not None and (over := self.remaining.measure(now, self.sample, turn.numbers, self.source.quantum)):
+                self.publisher.seldom(
+                    "margin", why=f"a stop now would not keep: {', '.join(over)}", margins=self.remaining.margins
+                )
             self._next_json = now + 1.0 / self.config.publish.json_hz
             self.publisher.words("state/json", twin(self, turn))
         if now >= self._next_health:
@@ -405,7 +351,6 @@ class Daemon:
                 self._classed(self.recorder.answers.popleft(), self.clock.monotonic())
         self.publisher.event("stopped")
         self.latch.close()
-        if self.advisor is not None:
-            self.advisor.close()
+        self.remaining.close()
         self.desk.close()
         self.source.close()

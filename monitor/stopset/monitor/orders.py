@@ -67,6 +67,9 @@ class Orders:
     def take(self, key: str, data: bytes) -> None:
         """Nothing but the queue."""
         reset = key.rsplit("/", 1)[-1] == "reset"
+        if not reset and len(data) > MAX_RESET:  # no nonce, and perhaps not even what was sent
+            self.dropped += 1
+            return
         waiting = self._resets if reset else self._challenges
         self.dropped += len(waiting) == waiting.maxlen
         waiting.append(data[: MAX_RESET + 1 if reset else MAX_NONCE])

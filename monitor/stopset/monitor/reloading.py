@@ -11,6 +11,7 @@ from typing import Any
 from stopset.artifact import Model
 from stopset.errors import NotCovered, StopsetError
 from stopset.monitor.along import WatchAlong
+from stopset.monitor.remaining import Remaining
 from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.watch import Watch
 
@@ -23,6 +24,7 @@ class Loaded:
     text: bytes  # of its file
     watch: Watch | WatchAlong
     desk: StopDesk
+    remaining: Remaining
 
 
 @dataclass(slots=True)
@@ -37,7 +39,7 @@ class Reloading:
 
     def turn(self, joints: tuple[str, ...]) -> Loaded | str | None:
         """Begin if it was asked for; a model of the same ``joints`` that has become ready, or why there is none."""
-        if self.asked:
+        if self.asked and not self._working:  # asked for once more while one is read: the file may be another by now
             self.asked = False
             self._begin(joints)
         if not self._working or self._answers.empty():
@@ -47,7 +49,7 @@ class Reloading:
 
     def _begin(self, joints: tuple[str, ...]) -> None:
         load = self.load
-        if load is None or self._working:
+        if load is None:
             return
         self._working = True
 

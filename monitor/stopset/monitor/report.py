@@ -23,6 +23,7 @@ from stopset.monitor.orders import Orders
 from stopset.monitor.payload import assumed, published
 from stopset.monitor.publisher import Publisher
 from stopset.monitor.realtime import Granted
+from stopset.monitor.remaining import Remaining
 from stopset.monitor.sample import Sample
 from stopset.monitor.source import SampleSource
 from stopset.monitor.stopdesk import StopDesk
@@ -76,8 +77,7 @@ class Monitored(Protocol):
     tally: RunCounts
     sample: Sample | None
     verdict: Verdict | None
-    margins: dict[str, Any] | None
-    override: dict[str, Any] | None
+    remaining: Remaining
 
 
 def finite(x: float) -> float | None:
@@ -132,7 +132,7 @@ def twin(d: Monitored, turn: Turn) -> dict[str, Any]:
         "tube": _tube(d),
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,
         "tau": s.tau.tolist() if s is not None and s.tau is not None else None,
-        "margins": d.margins, "override": d.override, "payload_kg": published(d.model, d.config.payload_kg),
+        "margins": d.remaining.margins, "override": d.remaining.override, "payload_kg": published(d.model, d.config.payload_kg),
         "joints": list(joints), "stops": _stops(turn, joints), "t_ns": round(s.t * 1e9) if s else None,
         "seq": d.publisher.seq, "data_id": d.config.data_id, "model_sha256": d.model.sha256, "config_sha256": d.config.sha256,
         "guarantee": d.model.guarantee.text, "notice": NOTICE,

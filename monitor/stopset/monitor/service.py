@@ -18,6 +18,7 @@ from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.overheard import Overheard
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
+from stopset.monitor.jointstate import MAX_BYTES
 from stopset.monitor.journal import FileStore, Journal
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.links.bus import listen
@@ -43,7 +44,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     signer = load_keys(config.keys).first if config.keys else None
     latch = Latch(Journal(FileStore(Path(config.journal), Record())))
     z = config.zenoh
-    link = ZenohLink(config.prefix, mode=z.mode, connect=z.connect, listen=z.listen, file=z.file or None)
+    link = ZenohLink(config.prefix, mode=z.mode, connect=z.connect, listen=z.listen, file=z.file or None, longest=MAX_BYTES)
     valid_for = config.publish.valid_for_ms * 1e-3  # older samples need not wait
 
     def open_source() -> SampleSource:

@@ -79,6 +79,13 @@ static Level refresh(Instance *c) {
     return LEVEL_OK;
 }
 
+/* And what follows from the parameters is that of these. */
+static Level prepared(Instance *c, const char *function) {
+    if (refresh(c)) return LEVEL_ERROR;
+    const char *wrong = stopset_prepare(&c->now.s, c->work);
+    return wrong ? stopset_fail(c, function, wrong) : LEVEL_OK;
+}
+
 Level stopset_enter_initialization(Instance *c, double t0) {
     if (stopset_expect(c, "enterInitializationMode", IN(PHASE_CREATED))) return LEVEL_ERROR;
     if (!stopset_finite(t0)) return stopset_fail(c, "enterInitializationMode", "the start time is not a finite number; give one [s]");
@@ -368,7 +375,7 @@ Level stopset_get_states(Instance *c, double x[], size_t n) {
 }
 
 Level stopset_get_derivatives(Instance *c, double dx[], size_t n) {
-    if (right_count(c, "getDerivatives", n) || refresh(c)) return LEVEL_ERROR;
+    if (right_count(c, "getDerivatives", n) || prepared(c, "getDerivatives")) return LEVEL_ERROR;
     for (int i = 0; i < NJ; i++) dx[i] = c->now.s.r[VR_DQ + i];
     stopset_accelerations(&c->now.s, c->work, dx + NJ, dx + NX);
     return LEVEL_OK;
@@ -378,6 +385,7 @@ Level stopset_get_indicators(Instance *c, double z[], size_t n) {
     double all[NJ];
     if (n != N_INDICATORS) return stopset_fail(c, "getEventIndicators", "the number of event indicators differs from modelDescription.xml");
     if (!n) return LEVEL_OK;
+    if (prepared(c, "getEventIndicators")) return LEVEL_ERROR;
     stopset_indicators(&c->now.s, c->work, all);
     memcpy(z, all, n * sizeof *z);
     return LEVEL_OK;
@@ -393,6 +401,7 @@ int stopset_completed_step(Instance *c) {
 Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
     StopsetState *s = &c->now.s;
     *states_changed = *next_defined = 0;
+    if (prepared(c, "updateDiscreteStates")) return LEVEL_ERROR;
     if (!c->co_simulation) {
         stopset_check(s, c->work);
         if (!s->stopping) stopset_restart(s, c->work, 0.0);

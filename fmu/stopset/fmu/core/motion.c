@@ -236,11 +236,14 @@ static double runge_kutta(const StopsetState *s, StopsetWork *w, double t, const
 static void settle(const StopsetState *s, StopsetWork *w, double t, double y[NY], int32_t mode[NJ]) {
     double up[NJ], down[NJ], ddq[NJ], net[NJ];
     int32_t trial[NJ];
+    int resting = 0;
     for (int i = 0; i < NJ; i++) {
         double dq = y[NJ + i];
         mode[i] = fabs(dq) <= REST ? 0 : dq > 0.0 ? 1 : -1;
         if (mode[i] == 0) y[NJ + i] = 0.0;
+        resting += mode[i] == 0;
     }
+    if (!resting) return;
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
     net_torque(s, w, t, y, trial, up);
     for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
@@ -282,6 +285,31 @@ static int event(const StopsetState *s, StopsetWork *w, double t, const double y
     return 0;
 }
 
+/* Positive while the friction directions hold: speed of a sliding joint [rad/s], margin of a sticking one [N m]. */
+static void margins(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double z[NJ]) {
+    double up[NJ], down[NJ], net[NJ], ddq[NJ];
+    int32_t trial[NJ];
+    int resting = 0;
+    for (int i = 0; i < NJ; i++) {
+        z[i] = mode[i] * y[NJ + i];
+        resting += mode[i] == 0;
+    }
+    if (!resting) return;
+    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
+    net_torque(s, w, t, y, trial, up);
+    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
+    net_torque(s, w, t, y, trial, down);
+    for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? up[i] : down[i];
+    accelerate(s, w, mode, net, ddq);
+    for (int i = 0; i < NJ; i++) {
+        double coupling = 0.0;
+        if (mode[i]) continue;
+        for (int j = 0; j < NJ; j++)
+            if (j != i) coupling += w->M[i][j] * ddq[j];
+        z[i] = fmin(coupling - up[i], down[i] - coupling);
+    }
+}
+
 static void take(const StopsetState *s, double y[NY]) {
     memcpy(y, &s->r[VR_Q], NJ * sizeof *y);
     memcpy(y + NJ, &s->r[VR_DQ], NJ * sizeof *y);
@@ -313,6 +341,68 @@ static double still_to_go(StopsetState *s, StopsetWork *w, double t, double left
     return end < t + left ? fmax(end - t, 0.0) : left;
 }
 
+/* A step's begin: state, its derivative, friction directions. */
+typedef struct {
+    double t, y[NY], first[NY];
+    int32_t mode[NJ];
+} Begin;
+
+/* The joint whose margin is least h later, and every joint's margin there. */
+static int least_margin(const StopsetState *s, StopsetWork *w, const Begin *b, double h, double next[NY], double z[NJ]) {
+    double last[NY];
+    int least = 0;
+    if (h > 0.0)
+        runge_kutta(s, w, b->t, b->y, b->mode, h, b->first, next, last);
+    else
+        memcpy(next, b->y, sizeof b->y);
+    margins(s, w, b->t + h, next, b->mode, z);
+    for (int i = 1; i < NJ; i++)
+        if (z[i] < z[least]) least = i;
+    return least;
+}
+
+/* Where in a step another friction direction is asked for first: none at `early`, one at `late`. False position with halving (the
+ * Illinois rule) on the margin of the joint that asks takes half a dozen steps where bisection takes forty. */
+static void narrow(const StopsetState *s, StopsetWork *w, const Begin *b, double *early, double *late) {
+    double next[NY], before[NJ], after[NJ], z[NJ], weight[2] = {1.0, 1.0};
+    least_margin(s, w, b, *early, next, before);
+    int joint = least_margin(s, w, b, *late, next, after), side = -1;
+    for (int k = 0; k < 12 && after[joint] < 0.0 && *late - *early > 1e-15; k++) {
+        const double head = weight[0] * before[joint], tail = -weight[1] * after[joint];
+        const double share = head > 1e-6 * tail ? head / (head + tail) : 0.5; /* who has just begun to slide has no margin yet */
+        const double at = *early + (*late - *early) * share;
+        const int least = least_margin(s, w, b, at, next, z), is = event(s, w, b->t + at, next, b->mode);
+        weight[is] = 1.0;
+        if (is == side) weight[!is] *= 0.5;
+        if (is) {
+            *late = at;
+            joint = least;
+        } else
+            *early = at;
+        memcpy(is ? after : before, z, sizeof z);
+        side = is;
+    }
+}
+
+/* When in a step of h, at whose end there is an event, that is [s]: by bisection, whose steps outside what is known already cost nothing. */
+static double locate(const StopsetState *s, StopsetWork *w, const Begin *b, double h) {
+    double early = 0.0, late = h, none = 0.0, some = h, next[NY], last[NY];
+    narrow(s, w, b, &none, &some);
+    for (int k = 0; k < 60 && late - early > 1e-15; k++) {
+        const double middle = 0.5 * (early + late);
+        int is = middle >= some;
+        if (middle > none && middle < some) {
+            runge_kutta(s, w, b->t, b->y, b->mode, middle, b->first, next, last);
+            is = event(s, w, b->t + middle, next, b->mode);
+        }
+        if (is)
+            late = middle;
+        else
+            early = middle;
+    }
+    return late;
+}
+
 const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double *done) {
     double y[NY], next[NY], first[NY], last[NY];
     int32_t mode[NJ];
@@ -335,16 +425,11 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double 
         }
         if (now == step || factor < 1.0) step = now * fmin(fmax(factor, 0.2), 4.0);
         if (directional(s) && events < EVENTS && event(s, w, t + now, next, mode)) {
-            double early = 0.0, late = now;
-            for (int k = 0; k < 60 && late - early > 1e-15; k++) {
-                double middle = 0.5 * (early + late);
-                runge_kutta(s, w, t, y, mode, middle, first, next, last);
-                if (event(s, w, t + middle, next, mode))
-                    late = middle;
-                else
-                    early = middle;
-            }
-            now = late;
+            Begin begin = {.t = t};
+            memcpy(begin.y, y, sizeof y);
+            memcpy(begin.first, first, sizeof first);
+            memcpy(begin.mode, mode, sizeof mode);
+            now = locate(s, w, &begin, now);
             runge_kutta(s, w, t, y, mode, now, first, next, last);
             for (int i = 0; i < NJ; i++)
                 if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
@@ -406,26 +491,10 @@ void stopset_update_modes(StopsetState *s, StopsetWork *w, double slack) {
     settle(s, w, t, y, s->mode);
 }
 
-/* Positive while the friction directions hold: speed of a sliding joint, margin of a sticking one [N m]. */
 void stopset_indicators(const StopsetState *s, StopsetWork *w, double z[NJ]) {
-    const double t = s->r[VR_TIME];
+    double y[NY];
     for (int i = 0; i < NJ; i++) z[i] = 1.0;
     if (!directional(s) || stopset_exact(s) || s->stopping >= 2) return;
-    double y[NY], up[NJ], down[NJ], net[NJ], ddq[NJ];
-    int32_t trial[NJ];
     take(s, y);
-    for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : 1;
-    net_torque(s, w, t, y, trial, up);
-    for (int i = 0; i < NJ; i++) trial[i] = s->mode[i] ? s->mode[i] : -1;
-    net_torque(s, w, t, y, trial, down);
-    for (int i = 0; i < NJ; i++) net[i] = s->mode[i] >= 0 ? up[i] : down[i];
-    accelerate(s, w, s->mode, net, ddq);
-    for (int i = 0; i < NJ; i++) {
-        z[i] = s->mode[i] * y[NJ + i];
-        if (s->mode[i]) continue;
-        double coupling = 0.0;
-        for (int j = 0; j < NJ; j++)
-            if (j != i) coupling += w->M[i][j] * ddq[j];
-        z[i] = fmin(coupling - up[i], down[i] - coupling);
-    }
+    margins(s, w, s->r[VR_TIME], y, s->mode, z);
 }

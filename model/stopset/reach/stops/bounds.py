@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
-from stopset.reach.stops.cartesian import SLICES, point_motion, point_sets, slices, swept_capsules
+from stopset.reach.stops.cartesian import SLICES, reached, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import FAST_TUBES, TUBES, failed_stops
@@ -45,6 +45,8 @@ FEW = 2  # pieces of a STOP 0 that follows a STOP 2
 @dataclass(frozen=True, slots=True)
 class StopBounds:
     """Stop bounds of one model, prepared: ``StopBounds.of(model)`` once, then ``bound(q, dq)`` every cycle.
+
+    Not for several threads at once: what is prepared for the core is shared.
 
     ``setting`` is None when the model knows no brakes: then no STOP 0 can be proved. ``ramp``: for categories 1 and 2;
     ``pieces``: how many tubes a hard case may be cut into (64 for tables); ``fast``: for a loop, some milliseconds each;
@@ -252,11 +254,11 @@ class StopBounds:
         sets, swept = [], []
         for tube in tubes:
             cut = slices(tube, SLICES)
-            far, fast, hull = point_motion(chain, q, q_radius, cut, n - 1, tool)
-            tcp, tcp_speed = max(tcp, far), max(tcp_speed, fast)
-            box[:, 0], box[:, 1] = np.minimum(box[:, 0], hull[:, 0]), np.maximum(box[:, 1], hull[:, 1])
-            links = np.maximum(links, [point_motion(chain, q, q_radius, cut, i, ends[i])[:2] for i in range(n)])
-            sets.append(point_sets(chain, q, q_radius, cut, n - 1, tool))
+            *out, tip = reached(chain, q, q_radius, cut, [*range(n), n - 1], [*ends, tool])
+            tcp, tcp_speed = max(tcp, tip.far), max(tcp_speed, tip.fast)
+            box[:, 0], box[:, 1] = np.minimum(box[:, 0], tip.box[:, 0]), np.maximum(box[:, 1], tip.box[:, 1])
+            links = np.maximum(links, [x[:2] for x in out])
+            sets.append(tip[3:])
             swept.append(swept_capsules(chain, q, q_radius, tube, robot.arm.capsules, SWEEPS))
         by_energy = any(t.energetic for t in tubes)
         R, o = link_frames(chain, q)

@@ -12,6 +12,7 @@ Source: stop notes of the project, section on Cartesian bounds.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,38 +51,45 @@ def slices(tube: Tube, count: int) -> Slices:
     return Slices(border[: made + 1], *out[:, :made])
 
 
-def point_sets(
-    chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Sets that hold a point's displacement and velocity during each slice, as centre + generators [-1, 1] + ball.
+class Reached(NamedTuple):
+    """Where a point gets during a stop: largest displacement [m], speed [m/s], box of displacements (3, 2) [m], all in base coordinates.
 
-    ``q +- q_radius``: the angles at the cut; ``point``: (3,) in the link's frame [m]. Returns displacement (S, 3, n + 1) with
-    the centre first [m] and the balls' radii (S,), and the same for the velocity [m/s]; all in base coordinates.
+    Sets that hold displacement and velocity during each slice, as centre + generators [-1, 1] + ball: ``travel``, ``pace`` (S, 3, n + 1)
+    with the centre first [m, m/s], ``travel_ball``, ``pace_ball`` (S,) the balls' radii.
+    """
+
+    far: float
+    fast: float
+    box: Array
+    travel: Array
+    travel_ball: Array
+    pace: Array
+    pace_ball: Array
+
+
+def reached(
+    chain: Chain, q: Array, q_radius: Array, parts: Slices, links: Sequence[int], points: Sequence[Array]
+) -> list[Reached]:
+    """Where points of links get, each ``points[k]`` (3,) [m] in the frame of ``links[k]``; ``q +- q_radius``: the angles at the cut.
+
+    However far joints turn, no point leaves the ball about the first one that the arm reaches.
     """
     S, n = parts.d_lo.shape
-    if not 0 <= link < n or q.shape != (n,) or q_radius.shape != (n,) or point.shape != (3,):
-        raise ValueError(f"a point {point.shape} of link {link} at {q.shape} +- {q_radius.shape} for {n} joints")
-    travel, pace, balls = np.empty((S, 3, n + 1)), np.empty((S, 3, n + 1)), np.empty((2, S))
-    pose = [view(given(x)) for x in (q, q_radius)]
-    box = [ffi.NULL if x is None else view(given(x)) for x in parts[1:]]
-    arm = arm_struct(chain, None)
-    check(
-        lib.stopset_point_sets(arm, *pose, S, *box, link, view(given(point)), view(travel), view(balls[0]), view(pace), view(balls[1]))
-    )  # fmt: skip
-    return travel, balls[0], pace, balls[1]
-
-
-def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
-    """How far and how fast a point of ``link`` can move from where it was: length [m], speed [m/s], box (3, 2) [m].
-
-    Arguments as for `point_sets`; the box is in base coordinates.  However far joints turn, no point leaves the ball about the
-    first one that the arm reaches.
-    """
-    travel, travel_ball, pace, pace_ball = point_sets(chain, q, q_radius, parts, link, point)
-    far, fast, box = ffi.new("double *"), ffi.new("double *"), np.empty((3, 2))
-    arm, at, sets = arm_struct(chain, None), given(point), [view(x) for x in (travel, travel_ball, pace, pace_ball)]
-    lib.stopset_point_motion(arm, len(travel), link, view(at), *sets, far, fast, view(box))
-    return far[0], fast[0], box
+    at = np.array([*points], float)
+    if not all(0 <= x < n for x in links) or q.shape != (n,) or q_radius.shape != (n,) or at.shape != (len(links), 3):
+        raise ValueError(f"points {at.shape} of links {list(links)} at {q.shape} +- {q_radius.shape} for {n} joints")
+    count, held = len(links), [given(x) for x in (q, q_radius)]
+    pose, box = [view(x) for x in held], [ffi.NULL if x is None else view(given(x)) for x in parts[1:]]
+    sets, balls, boxes = np.empty((count, 2, S, 3, n + 1)), np.empty((count, 2, S)), np.empty((count, 3, 2))
+    arm, most = arm_struct(chain, None), ffi.new("double[2]")
+    x, s, b, hull = (ffi.cast("double *", view(a)) for a in (at, sets, balls, boxes))
+    out, size = [], S * 3 * (n + 1)
+    for k, link in enumerate(links):
+        own = (s + 2 * k * size, b + 2 * k * S, s + (2 * k + 1) * size, b + (2 * k + 1) * S)
+        check(lib.stopset_point_sets(arm, *pose, S, *box, link, x + 3 * k, *own))
+        lib.stopset_point_motion(arm, S, link, x + 3 * k, *own, most, most + 1, hull + 6 * k)
+        out.append(Reached(most[0], most[1], boxes[k], sets[k, 0], balls[k, 0], sets[k, 1], balls[k, 1]))
+    return out
 
 
 def swept_capsules(chain: Chain, q: Array, q_radius: Array, tube: Tube, capsules: Array, pieces: int = 4) -> Array:

@@ -43,6 +43,7 @@ RECENTRE: float = lib.stopset_tube_recentre  # [rad] sum of angles from the pose
 ENERGY_CLAIMS: int = lib.STOPSET_ENERGY_CLAIMS  # of caps per step
 ENERGY_ROUNDING: float = lib.stopset_energy_rounding  # outward, as a factor
 RATE_ROUNDING: float = lib.stopset_rate_rounding  # relative outward widening of accelerations
+_recent: list[tuple[tuple[Any, ...], ...]] = [()]  # the last two plants in one tuple: threads ask while others add
 _ROWS = (
     "pi_half", "rotor", "rotor_half", "coulomb_lo", "coulomb_hi", "viscous_lo", "viscous_hi", "u_lo", "u_hi", "brake_lo", "brake_hi",
     "delay_lo", "delay_hi", "rise_lo", "rise_hi",
@@ -99,6 +100,10 @@ class Tube(NamedTuple):
 
 def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
     """``StopsetPlant``, and what must live as long."""
+    made: tuple[Any, list[Any]]
+    for its_plant, made in _recent[0]:  # most tubes are of the plant of the tube before
+        if its_plant is plant:
+            return made
     n, K = len(plant.rotor), plant.curvature
     rows = [given(getattr(plant, name)) for name in _ROWS]
     bent = [given(x) for x in (K.M, K.g, K.size, K.load)]
@@ -110,7 +115,11 @@ def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
         raise ValueError(f"a plant of {n} joints with {[x.shape for x in rows]} and curvature {[x.shape for x in bent]}")
     arm = arm_struct(plant.chain, plant.pi)
     struct = ffi.new("StopsetPlant *", (arm[0], *(view(x) for x in rows), tuple(view(x) for x in bent)))
-    return struct, [arm, rows, bent]
+    made = struct, [arm, rows, bent]
+    given_as = [*(getattr(plant, name) for name in _ROWS), K.M, K.g, K.size, K.load]
+    if all(x is y for x, y in zip(given_as, rows + bent, strict=True)):  # a copy would not see what is written into the original
+        _recent[0] = ((plant, made), *_recent[0][:1])
+    return made
 
 
 class Stride(NamedTuple):

@@ -1,0 +1,52 @@
+"""What a stop that began now would leave to the limits, and how fast the arm may be for it to leave enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from stopset.artifact import Model
+from stopset.monitor.certificates import Numbers
+from stopset.monitor.config import Config, StopLimits
+from stopset.monitor.margins import exceeded, margins
+from stopset.monitor.override import Advisor
+from stopset.monitor.sample import Quantum, Sample
+
+
+@dataclass(slots=True)
+class Remaining:
+    """``margins`` and ``override`` as of the last `measure`, None before it or where there is none."""
+
+    model: Model
+    limits: StopLimits
+    advisor: Advisor | None
+    margins: dict[str, Any] | None = None
+    override: dict[str, Any] | None = None
+
+    @classmethod
+    def of(cls, config: Config, model: Model) -> Self:
+        """A process is started where an override is asked for."""
+        return cls(model, config.limits, Advisor(config, model.sha256) if config.limits.override else None)
+
+    def measure(self, now: float, s: Sample, stops: dict[str, Numbers], quantum: Quantum) -> list[str]:
+        """At ``now`` [s]; which limits a stop by these numbers would not keep."""
+        numbers = stops.get(self.limits.category)
+        if numbers is None:
+            return []
+        V = self.model.powered.V
+        slack = quantum.q + np.maximum(np.abs(V.lo), np.abs(V.hi))[: self.model.n]
+        self.margins = margins(self.model.robot, self.limits, s.q, numbers, slack)
+        if self.advisor is not None:
+            self.advisor.offer(now, s.t, s.q, s.dq)
+            if (said := self.advisor.said) is not None:
+                self.override = {"percent": 100.0 * said[1], "category": self.limits.category, "t_ns": round(said[0] * 1e9)}
+            else:
+                self.override = None
+        return exceeded(self.margins)
+
+    def close(self) -> None:
+        """End the process."""
+        if self.advisor is not None:
+            self.advisor.close()
