@@ -98,7 +98,7 @@ def test_a_linear_program_without_answer_is_told_in_our_words(status: int, monke
     answer = SimpleNamespace(
         status=status, message="(HiGHS Status 15: model_status is Unknown; primal_status is Infeasible)", x=None
     )
-    monkeypatch.setattr(program, "linprog", lambda *a, **k: answer)
+    monkeypatch.setattr("scipy.optimize.linprog", lambda *a, **k: answer)
     G, h = np.ones((3, 10)), np.zeros(3)
     with pytest.raises(NotConformant, match="joint a") as e:
         program.cheapest(G, h, np.ones(10), program.Bounds(ReadingError.exact(Box.symmetric(np.ones(2))), 1), "joint a")

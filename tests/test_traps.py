@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -481,7 +482,7 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
     trials = recordings((2.0,), (4.0,), suites=1, trials=4)
     env = envelope(SINGLE, trials)
     R = responses(SINGLE, DT, env.steps)
-    exact = program.linprog
+    exact = linprog
 
     class Sloppy:
         status, message = 0, "solved"
@@ -495,7 +496,7 @@ def test_p17_a_solver_that_calls_a_violation_solved_is_repaired_outward(monkeypa
         x[0], x[2] = x[2] + 1e-9, x[0] - 1e-9  # and X0's interval inverted
         return Sloppy(x)
 
-    monkeypatch.setattr(program, "linprog", sloppy)
+    monkeypatch.setattr("scipy.optimize.linprog", sloppy)
     monkeypatch.setattr(program, "ROUNDS", 3)
     noise = ReadingError.exact(Box.symmetric([2e-5, 2e-3]))
     fit = fit_sets(env, R, problem(SINGLE, noise, DT, env.steps))
@@ -509,7 +510,7 @@ def _raw(env: Envelope, R: Responses, noise: ReadingError) -> float:
     block = linear._block(env, R, [0, 1], [0, 1], [0], bounds, dense=True)
     limits = bounds.rows()
     need = np.concatenate([-block.h, np.zeros(len(limits))])
-    z = program.linprog(block.cost, A_ub=np.vstack([-block.G, limits]), b_ub=need, bounds=bounds.limits()).x
+    z = scipy.optimize.linprog(block.cost, A_ub=np.vstack([-block.G, limits]), b_ub=need, bounds=bounds.limits()).x
     return float((block.h - block.G @ z).max())
 
 
