@@ -60,10 +60,11 @@ class SocketCanListener:
         self._take: Any = ctypes.CDLL(None, use_errno=True).recvmmsg
         self._data, self._control = bytearray(SIZE * FRAME.size), bytearray(SIZE * CONTROL)
         data, control = (ctypes.addressof((ctypes.c_char * len(x)).from_buffer(x)) for x in (self._data, self._control))
-        self._vectors = (_Vector * SIZE)(*[(data + i * FRAME.size, FRAME.size) for i in range(SIZE)])
+        self._vectors = (_Vector * SIZE)(*[_Vector(data + i * FRAME.size, FRAME.size) for i in range(SIZE)])
         vectors = ctypes.addressof(self._vectors)
         messages = [
-            (None, 0, vectors + i * ctypes.sizeof(_Vector), 1, control + i * CONTROL, CONTROL, 0, 0, 0) for i in range(SIZE)
+            _Message(None, 0, vectors + i * ctypes.sizeof(_Vector), 1, control + i * CONTROL, CONTROL, 0, 0, 0)
+            for i in range(SIZE)
         ]
         self._messages = (_Message * SIZE)(*messages)
         self._empty = bytes(self._messages)  # the system writes into them
