@@ -39,7 +39,7 @@ class _Message(ctypes.Structure):
 
 FRAME = struct.Struct("=IB3x8s")  # a struct can_frame
 FILLED = struct.Struct("=40xQ8xI4x")  # of a _Message: bytes of control messages, of the frame
-STAMP = struct.Struct("=QiiqqQiiI12x")  # the two control messages
+STAMP = struct.Struct("=16xqq16xI12x")  # the two control messages: seconds and nanoseconds, frames lost
 STAMPED = 32  # bytes of the first, which always comes; the second does from the first loss on
 
 
@@ -89,16 +89,16 @@ class SocketCanListener:
 
     def _put(self, batch: Batch, count: int) -> None:
         filled, stamps = FILLED.iter_unpack(self._filled[: count * FILLED.size]), STAMP.iter_unpack(self._control)
-        for (identifier, length, data), (control, size), stamp in zip(
+        for (identifier, length, data), (control, size), (seconds, nano, lost) in zip(
             FRAME.iter_unpack(self._data), filled, stamps, strict=False
         ):
             if control > STAMPED:
-                self.lost = max(self.lost, stamp[-1])
+                self.lost = max(self.lost, lost)
             if size != FRAME.size or identifier & (EXTENDED | REMOTE):
                 continue
             if identifier & ERROR:
                 raise BusError("error frame on the bus; check termination and bit rate")
-            t = stamp[3] + 1e-9 * stamp[4] if control >= STAMPED else math.nan  # which counts as old as can be
+            t = seconds + 1e-9 * nano if control >= STAMPED else math.nan  # which counts as old as can be
             batch.put(Frame(identifier, data[:length], t))
 
     def recv(self, timeout: float) -> Frame | None:
