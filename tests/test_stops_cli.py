@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 import sys
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pypdf import PdfReader
 
 from stopset.artifact import load_model, save_model
 from stopset.cli.main import main
 from stopset.errors import NotCovered
+from stopset.offline.report.pdf import Document, Plot
 from stopset.offline.stops.page import build_page
+from stopset.offline.stops.shown import up
 from stopset.offline.stops.table import StopRow
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.ramp import KEY
@@ -61,8 +62,9 @@ def rows(model: str, tmp_path_factory: pytest.TempPathFactory) -> list[dict]:  #
     out = json.loads((folder / "a.json").read_text())
     table = list(csv.DictReader((folder / "a.csv").open()))
     assert len(table) == len(out) and table[0]["time [s]"] == str(out[0]["time_s"])
-    pdf = (folder / "a.pdf").read_bytes()
-    assert pdf.startswith(b"%PDF-1.4") and pdf.rstrip().endswith(b"%%EOF")
+    paper = pdf_text(folder / "a.pdf")
+    for r in out:  # every number of every row is on paper, whole
+        assert all(up(r[k], 4) in paper for k in ("time_s", "angle_rad", "tcp_m") if r[k] is not None)
     html = (folder / "a.html").read_text()
     assert "<html" in html and 'src="http' not in html and "Not a safety function" in html
     return out
@@ -359,8 +361,24 @@ def test_states_beyond_the_recordings_have_no_number_unless_asked_for_and_then_a
 
 def pdf_text(path: Path) -> str:
     """Words of a PDF file's pages, lines joined."""
-    pages = [zlib.decompress(x) for x in re.findall(rb"stream\n(.*?)\nendstream", path.read_bytes(), re.DOTALL)]
-    return " ".join(m.decode("cp1252") for p in pages for m in re.findall(rb"\((.*?)\) Tj", p))
+    return " ".join(" ".join(page.extract_text() for page in PdfReader(path).pages).split())
+
+
+def test_a_sheet_cuts_no_word_and_is_the_same_twice(tmp_path: Path) -> None:
+    def sheet(name: str) -> Path:
+        doc = Document("A & <B>", "foot")
+        doc.heading("A & <B>")
+        doc.table(("axis", "remark"), [("a_joint_whose_name_is_long " * 4, f"row {k} ends here") for k in range(200)], (1, 1))
+        doc.plots([Plot("joint", [("0 kg", (0.0, 1.0), (0.0, 2.0))], ((0.5,), (1.0,)), "speed", "time") for _ in range(2)])
+        (tmp_path / name).write_bytes(doc.bytes())
+        return tmp_path / name
+
+    one, two = sheet("one.pdf"), sheet("two.pdf")
+    said = pdf_text(one)
+    assert one.read_bytes() == two.read_bytes()
+    assert "A & <B>" in said and said.count("a_joint_whose_name_is_long") == 800 and said.count("ends here") == 200
+    heads = [page.extract_text().count("remark") for page in PdfReader(one).pages]
+    assert len(heads) > 3 and all(heads[:-1]), "every page repeats the head"
 
 
 def test_a_table_keeps_to_the_poses_that_recordings_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

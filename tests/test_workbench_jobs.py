@@ -183,6 +183,10 @@ def test_diagnose_add_and_the_curve_falls_in_a_browser(altered: Path, tmp_path: 
         server = Server(loop, "127.0.0.1", server.port)
         server.start()
         until(lambda: "revision 1" in text("data"))
+        browser.execute_script("window.whole = show; show = () => { throw new Error('no such row'); }; shown = -1")
+        until(lambda: "a defect of stopset (no such row)" in text("jobtext"))  # not: the workbench is gone
+        browser.execute_script("show = window.whole")
+        until(lambda: "defect" not in text("jobtext"))
         until(lambda: "compare-1" in loop.snapshot()["reports"] and "diagnose-1" in loop.snapshot()["reports"])
         bars = browser.find_element("css selector", "#waterfall canvas").get_attribute("aria-label")
         values = [float(part.rsplit(" ", 1)[1]) for part in bars.partition("]")[2].partition(": ")[2].split(", ")]

@@ -39,11 +39,13 @@ function job(j) {
   if (works && j.what === 'diagnose' && state && !state.models[state.models.length - 1].answers.diagnose) fill('diagnose', ...j.steps.map(small));
 }
 $('stop').onclick = () => act('stop');
+const base = path => path.split('/').pop();
 function show(s) {
   state = s;
   const at = s.models.length - 1, m = s.models[at], a = m.answers, report = n => s.reports.includes(n) ? link('full page', '/report/' + n) : '';
   $('title').textContent = `${s.robot}: workbench`;
-  $('data').textContent = `${m.file} (SHA-256 ${m.sha256.slice(0, 16)}), revision ${m.revisions.length ? m.revisions[m.revisions.length - 1].number : 0}, against ${s.data.join(', ')}`;
+  $('data').textContent = `${base(m.file)} (SHA-256 ${m.sha256.slice(0, 16)}), revision ${m.revisions.length ? m.revisions[m.revisions.length - 1].number : 0}, against ${s.data.map(base).join(', ')}`;
+  $('data').title = [m.file, ...s.data].join('\n');
   if (!$('effect').options.length) {
     fill('effect', ...s.effects.map(e => el('option', {value: e}, e)));
     fill('joint', el('option', {value: ''}, 'every joint, or the whole arm'), ...s.joints.map(j => el('option', {value: j}, j)));
@@ -53,13 +55,12 @@ function show(s) {
   fill('waterfall', ...s.figures.filter(f => f.key !== 'sum_U_width_without_margin').map(f => waterfall(f, m.revisions, s.floors[f.key])));
   compare(a.compare, report('compare-' + at)); heat(a.dependence, s.joints); diagnose(s.models, at, report); stage(s, a); added(a.add, s.figures);
   recordings(s.recordings); sides(s);
-  const base = x => x.file.split('/').pop();
   fill('history', table('Revisions', ['revision', 'added', 'note'], m.revisions.map(r => [figure(String(r.number)), words(r.added || 'first identification'), words(r.note)])));
   const write = el('button', {className: 'take', disabled: running}, a.fmu ? 'Write the FMU again' : 'Write the FMU'); write.onclick = () => act('fmu');
   const names = {compare: 'comparison', diagnose: 'diagnosis', plan: 'plan'};
-  fill('reports', el('p', null, 'Model files: ', ...s.models.flatMap((x, k) => [el('a', {href: '/model/' + k, download: base(x)}, base(x)), ' '])),
-    el('p', null, 'Pages: ', link('history', '/report/history'), ' ', ...s.reports.flatMap(n => { const [what, k] = n.split('-'); return [link(`${names[what] || what} of ${base(s.models[k])}`, '/report/' + n), ' ']; })),
-    el('p', null, 'FMU: ', write, ' ', ...s.models.flatMap((x, k) => x.answers.fmu ? [el('a', {href: '/fmu/' + k, download: x.answers.fmu.file.split('/').pop()}, x.answers.fmu.file.split('/').pop()), ' '] : [])));
+  fill('reports', el('p', null, 'Model files: ', ...s.models.flatMap((x, k) => [el('a', {href: '/model/' + k, download: base(x.file)}, base(x.file)), ' '])),
+    el('p', null, 'Pages: ', link('history', '/report/history'), ' ', ...s.reports.flatMap(n => { const [what, k] = n.split('-'); return [link(`${names[what] || what} of ${base(s.models[k].file)}`, '/report/' + n), ' ']; })),
+    el('p', null, 'FMU: ', write, ' ', ...s.models.flatMap((x, k) => x.answers.fmu ? [el('a', {href: '/fmu/' + k, download: base(x.answers.fmu.file)}, base(x.answers.fmu.file)), ' '] : [])));
   $('notice').textContent = s.notice;
   job(s.job);
 }
@@ -71,7 +72,7 @@ function recordings(list) {
   fill('chosen', wide('Recordings', el('table', null, el('tr', null, ...['use', 'file', 'condition'].map(h => el('th', {scope: 'col'}, h))), ...list.map((r, k) => {
     const box = el('input', {type: 'checkbox', checked: r.chosen, className: 'usefile'}), of = el('input', {type: 'text', value: r.condition, className: 'condition', placeholder: r.stated || 'KEY=VALUE', size: 16});
     box.setAttribute('aria-label', 'use ' + r.file); of.setAttribute('aria-label', 'condition of ' + r.file);
-    return el('tr', null, el('td', null, box), words(r.file.split('/').pop()), el('td', null, of));
+    return el('tr', null, el('td', null, box), words(base(r.file)), el('td', null, of));
   }))), small('Recordings of different conditions (payload, tool, day) are not taken as one.'));
 }
 $('choose').onclick = () => {
@@ -81,7 +82,7 @@ $('choose').onclick = () => {
 };
 // two models joint by joint, what is better on the right in green
 function sides(s) {
-  const options = () => s.models.map((m, k) => el('option', {value: String(k)}, `${k}: ${m.file.split('/').pop()}`));
+  const options = () => s.models.map((m, k) => el('option', {value: String(k)}, `${k}: ${base(m.file)}`));
   if ($('lefthand').options.length !== s.models.length) {
     open('lefthand', false, options()); open('righthand', false, options());
     $('lefthand').value = String(Math.max(0, s.models.length - 2)); $('righthand').value = String(s.models.length - 1);
@@ -197,7 +198,7 @@ function stage(s, a) {
   open('recording', true, reply.listed.map(r => el('option', {value: r.label}, r.label + (r.violates ? ' ✕ leaves the sets' : '') + (r.inside_domain ? '' : ', outside the domain'))));
   if ($('shownjoint').options.length !== s.joints.length) fill('shownjoint', ...s.joints.map(j => el('option', {value: j}, j)));
   if ($('beside').options.length !== s.models.length) {
-    open('beside', false, [el('option', {value: '-'}, 'nothing'), ...s.models.slice(0, -1).map((m, k) => el('option', {value: String(k)}, m.file.split('/').pop()))]);
+    open('beside', false, [el('option', {value: '-'}, 'nothing'), ...s.models.slice(0, -1).map((m, k) => el('option', {value: String(k)}, base(m.file)))]);
     $('beside').value = s.models.length > 1 ? String(s.models.length - 2) : '-';
   }
   load();
@@ -254,10 +255,15 @@ $('play').onclick = () => {
 async function poll() {
   if (asked) return;
   asked = true;
+  let reply, s;
   try {
-    const reply = await (await fetch('/job')).json();
-    if (reply.version !== shown) { const s = await (await fetch('/state')).json(); shown = s.version; show(s); } else job(reply.job);
-  } catch (e) { shown = -1; $('job').className = 'row-section bad'; $('jobtext').textContent = 'The workbench does not answer: it has ended, or this machine has lost it. It is asked again twice a second; what runs there goes on.'; }
+    reply = await (await fetch('/job')).json();
+    if (reply.version !== shown) s = await (await fetch('/state')).json();
+  } catch (e) { failed('The workbench does not answer: it has ended, or this machine has lost it. It is asked again twice a second; what runs there goes on.'); }
   asked = false;
+  try {
+    if (s) { show(s); shown = s.version; } else if (reply) job(reply.job);
+  } catch (e) { failed(`This page cannot show what the workbench answered, a defect of stopset (${e.message}). Models and reports are in their folder, unharmed.`); }
 }
+function failed(why) { shown = -1; $('job').className = 'row-section bad'; $('jobtext').textContent = why; }
 setInterval(poll, 500); poll();
