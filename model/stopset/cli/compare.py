@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
     for name, (held, out) in found.bands.items():
         say(f"{name}: {out} of the {held} recordings at its temperatures leave its narrower sets (nothing is promised of them)")
-    say(model.guarantee.text)
+    say(f"when it was identified: {model.guarantee.text}")
     if args.json:
         write_json(args.json, answer(model, found))
     if args.report:

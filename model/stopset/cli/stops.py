@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 HELP = "stop-time and stop-distance tables: STOP 0, 1 (nominal and guaranteed) and 2; or one pose with --at"
+FEW = 24  # rows that are listed unasked: one pose, all joints, all categories
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the speed at the request that a failed ramp can reach; above 100 if drives may accelerate (default 100)",
     )  # fmt: skip
     parser.add_argument("--fail-together", action="store_true", help="failed ramps keep the path, as when the controller fails")
+    parser.add_argument("--all", action="store_true", help="list every row of the table, not the worst of each axis")
     parser.add_argument("--data", nargs="+", metavar="REC", help="recordings whose measured stops are drawn into the pictures")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows as CSV")
     parser.add_argument("--pdf", type=Path, metavar="FILE", help="write tables and pictures as PDF")
@@ -87,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             build_page(model, rows, assumptions, measured, separations).save(args.report)
         if args.pdf:
             write_bytes(args.pdf, build_pdf(model, rows, assumptions, measured, separations))
-    _print(model, rows, assumptions, separations, say)
+    _print(model, rows, assumptions, separations, say, whole=args.all)
     return 0 if any(r.answered for r in rows) else 1
 
 
@@ -208,28 +210,16 @@ def _separations(given: dict[str, float | None], rows: Sequence[Any]) -> list[An
     return out
 
 
-def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any) -> None:
-    """The answer; every row, with what it says of itself as a number; each such remark once; what the numbers rest on."""
-    from stopset.offline.stops.shown import answered, axis_name, extrapolations, refusals, remarks, up
+def _print(
+    model: Any, rows: Sequence[Any], assumptions: Sequence[str], separations: Sequence[Any], say: Any, *, whole: bool
+) -> None:
+    """The answer; the worst stop of each axis, or every row; each remark of the rows once; what the numbers rest on."""
+    from stopset.offline.stops.shown import answered, extrapolations, refusals, up
     from stopset.offline.stops.table import holding
 
-    wide = max(len(axis_name(r.joint)) for r in rows) + 2
-    number = refusals(rows)
     say(answered(rows))
-    say(f"{'category':<13}{'axis':<{wide}}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
-    for category in dict.fromkeys(r.category for r in rows):
-        mine = [r for r in rows if r.category == category]
-        refused = len({r.why for r in mine}) == 1 and not any(r.answered for r in mine)  # all of them, and for one reason
-        for r in mine[:1] if refused else mine:
-            at = f"{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
-            shown = (
-                [up(x, d) for x, d in ((1e3 * r.time_s, 1), (r.angle_rad, 4), (1e3 * r.tcp_m, 1))] if r.answered else ["-"] * 3
-            )
-            numbers = "".join(f"{x:>{width}}" for x, width in zip(shown, (9, 11, 9), strict=True))
-            marks = " ".join(f"[{number[part]}]" for part in remarks(r))
-            beyond = "EXTRAPOLATED " if r.extrapolated else ""
-            say(f"{category:<13}{'every row' if refused else at:<{wide + 23}}{numbers}  {beyond}{marks}".rstrip())
-    for part, k in number.items():
+    (_rows if whole or len(rows) <= FEW else _worst)(rows, say)
+    for part, k in refusals(rows).items():
         say(f"[{k}] {part}")
     if beyond := extrapolations(rows):
         say(beyond)
@@ -243,3 +233,37 @@ def _print(model: Any, rows: Sequence[Any], assumptions: Sequence[str], separati
     for a in assumptions:
         say(f"- {a}")
     say("Monitoring aid, not a safety function: stop distances for a risk assessment must be measured.")
+
+
+def _worst(rows: Sequence[Any], say: Any) -> None:
+    """Of each category and axis the longest time, angle and way of all rows."""
+    from stopset.offline.stops.shown import worst
+
+    lines = list(worst(rows))
+    wide = max(len(axis) for _, axis, *_ in lines) + 2
+    say(f"{'category':<13}{'axis':<{wide}}{'time s':>8}{'angle rad':>11}{'TCP m':>8}  proved")
+    for category, axis, time, angle, tcp, proved in lines:
+        say(f"{category:<13}{axis:<{wide}}{time:>8}{angle:>11}{tcp:>8}  {proved}")
+    say(f"the longest of {len(rows)} rows; --all lists each by speed, payload and extension, --csv and --report write them")
+
+
+def _rows(rows: Sequence[Any], say: Any) -> None:
+    """Every row, with what it says of itself as numbers; a category without any number in one line."""
+    from stopset.offline.stops.shown import axis_name, refusals, remarks, up
+
+    wide = max(len(axis_name(r.joint)) for r in rows) + 2
+    number = refusals(rows)
+    say(f"{'category':<13}{'axis':<{wide}}{'speed %':>8}{'load kg':>8}{'ext. %':>7}{'time ms':>9}{'angle rad':>11}{'TCP mm':>9}")
+    for category in dict.fromkeys(r.category for r in rows):
+        mine = [r for r in rows if r.category == category]
+        refused = not any(r.answered for r in mine)
+        for r in mine[:1] if refused else mine:
+            at = f"{axis_name(r.joint):<{wide}}{r.speed_percent:>8.0f}{r.payload:>8.3g}{r.extension_percent:>7.0f}"
+            shown = (
+                [up(x, d) for x, d in ((1e3 * r.time_s, 1), (r.angle_rad, 4), (1e3 * r.tcp_m, 1))] if r.answered else ["-"] * 3
+            )
+            numbers = "".join(f"{x:>{width}}" for x, width in zip(shown, (9, 11, 9), strict=True))
+            said = dict.fromkeys(part for x in (mine if refused else [r]) for part in remarks(x))
+            marks = " ".join(f"[{number[part]}]" for part in said)
+            beyond = "EXTRAPOLATED " if r.extrapolated else ""
+            say(f"{category:<13}{'every row' if refused else at:<{wide + 23}}{numbers}  {beyond}{marks}".rstrip())

@@ -25,7 +25,7 @@ NO_REST = (
 )
 REST = "at rest means speed zero for good, with the brakes closed and holding"
 UNSEEN = "choose a state that the recordings hold, record it, or accept a marked extrapolation (--extrapolate-state)"
-BY_ENERGY = "the kinetic energy bounds part of the stop: tubes of joint speeds alone did not close, or let the arm go farther; proved like these"
+BY_ENERGY = "the kinetic energy bounds part of the stop, no less a proof: tubes of joint speeds alone did not close, or let the arm go farther"
 
 
 def out_of_budget(loose: int, boxes: int, tried: int) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import html
 import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
-from xml.sax.saxutils import escape
 
 from reportlab.graphics.charts.lineplots import LinePlot
 from reportlab.graphics.shapes import Drawing, String
@@ -91,7 +91,7 @@ def _words(text: str, size: float, font: str = PLAIN) -> Paragraph:
     # the fonts that every reader of PDF brings know the letters of western Europe
     seen = text.encode("cp1252", "replace").decode("cp1252")
     style = ParagraphStyle("words", fontName=font, fontSize=size, leading=1.25 * size, spaceAfter=0.35 * size, splitLongWords=1)
-    return Paragraph(escape(seen), style)
+    return Paragraph(html.escape(seen, quote=False), style)
 
 
 def _step(top: float) -> float:
