@@ -26,7 +26,9 @@ _HEAD = struct.Struct("<8sQI")  # mark, number, length of the record
 _MARK = b"STPSLTCH"
 _DIGEST = 16
 _GONE = bytes(2 * SLOT)  # of a journal that was begun and is not there any more
-_WORDS = b"A journal of stopset's monitor was begun beside this file. Where it is gone the monitor takes a violation for latched.\n"
+_WORDS = (
+    b"A journal of stopset's monitor was begun beside this file. Where it is gone the monitor takes a violation for latched.\n"
+)
 
 
 class Store(Protocol):
