@@ -83,9 +83,8 @@ def main() -> None:
     found = sorted(first_ok(args.model, args.recording, lock=args.lock) for _ in range(args.times))
     took = [seconds for seconds, _ in found]
     most, locked = max(memory for _, memory in found)
-    print(
-        f"memory {most} MB at most, {locked} MB of it locked; first OK after {', '.join(f'{x:.2f}' for x in took)} s; median {took[len(took) // 2]:.2f} s"
-    )
+    print(f"memory {most} MB at most, {locked} MB of it locked")
+    print(f"first OK after {', '.join(f'{x:.2f}' for x in took)} s; median {took[len(took) // 2]:.2f} s")
 
 
 if __name__ == "__main__":
