@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -250,3 +251,17 @@ def test_a_key_with_a_passphrase_signs_with_it_alone(cell: Path, capsys: pytest.
         assert says in capsys.readouterr().err and not signature_path(cell / "m.json").exists()
     assert main([*asked, str(cell / "locked"), "--passphrase", str(cell / "word")]) == 0
     assert load_trusted(cell / "m.json", accepted(cell, "locked")).n == 6
+
+
+def test_the_page_of_a_signature_is_the_model_card(cell: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever releases a model reads where it holds, what it consists of and what was seen of it, of that model."""
+    model = load_model(cell / "m.json")
+    assert main(["sign", str(cell / "m.json"), "--key", str(cell / "release"), "--report", str(cell / "card.html")]) == 0
+    capsys.readouterr()
+    said = " ".join(re.sub(r"<[^>]+>", " ", (cell / "card.html").read_text(encoding="utf-8")).replace("\u00a0", " ").split())
+    assert model.sha256 in said and model.guarantee.text in said and "Not a safety function" in said
+    for k, joint in enumerate(model.joints):
+        assert f"{joint} {model.domain.q.lo[k]:.4g} to {model.domain.q.hi[k]:.4g}" in said
+    for e in model.effects:
+        assert all(f"{name} {value:.4g}" in said for name, value in e.values.items())
+    assert "released by" in said and "signature" in said

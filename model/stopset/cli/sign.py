@@ -47,16 +47,20 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         from stopset.artifact.signature import kind_of
         from stopset.offline.description.older import load_model
+        from stopset.offline.report.card import card
         from stopset.offline.report.page import Page
 
         kind = kind_of(args.model)
-        page = Page(f"{statement.robot}: signed {kind}", load_model(args.model) if kind == "model" else None)
+        model = load_model(args.model) if kind == "model" else None
+        page = Page(f"{statement.robot}: signed {kind}", model)
         page.verdict(f"Revision {statement.revision} is signed by the key {key}.", "good")
         page.next(
             "give the model, its .sig file and the public key to the monitor; `signed.keys` of its configuration names the key."
             if kind == "model"
             else "give the unit, its .sig file and the public key to whoever imports it; `stopset verify F.fmu --key FILE.pub` tells."
         )
+        if model is not None:
+            card(page, model)
         page.save(args.report)
     return 0
 
