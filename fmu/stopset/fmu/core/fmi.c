@@ -344,7 +344,14 @@ Level stopset_deserialize(Instance *c, const unsigned char *bytes, size_t size, 
     return LEVEL_OK;
 }
 
+/* In co-simulation another time or state would be one that no bound was made for. */
+static Level in_exchange(Instance *c, const char *function, unsigned phases) {
+    if (c->co_simulation) return stopset_fail(c, function, "belongs to model exchange, and this is co-simulation; use doStep");
+    return stopset_expect(c, function, phases);
+}
+
 Level stopset_set_time(Instance *c, double t) {
+    if (in_exchange(c, "setTime", IN(PHASE_EVENT) | IN(PHASE_CONTINUOUS))) return LEVEL_ERROR;
     if (!stopset_finite(t)) return stopset_fail(c, "setTime", "the time is not a finite number; give one [s]");
     c->now.s.r[VR_TIME] = t;
     c->now.s.outputs_ready = 0;
@@ -359,7 +366,7 @@ static Level right_count(Instance *c, const char *function, size_t n) {
 }
 
 Level stopset_set_states(Instance *c, const double x[], size_t n) {
-    if (right_count(c, "setContinuousStates", n)) return LEVEL_ERROR;
+    if (in_exchange(c, "setContinuousStates", IN(PHASE_EVENT) | IN(PHASE_CONTINUOUS)) || right_count(c, "setContinuousStates", n)) return LEVEL_ERROR;
     for (int i = 0; i < NJ; i++) {
         c->now.s.r[VR_Q + i] = x[i];
         c->now.s.r[VR_DQ + i] = x[NJ + i];
@@ -396,11 +403,13 @@ Level stopset_get_indicators(Instance *c, double z[], size_t n) {
     return LEVEL_OK;
 }
 
-int stopset_completed_step(Instance *c) {
+Level stopset_completed_step(Instance *c, int *event) {
+    if (in_exchange(c, "completedIntegratorStep", IN(PHASE_CONTINUOUS))) return LEVEL_ERROR;
     int before = c->now.s.i[IX_VERDICT];
     stopset_count(&c->now.s);
     stopset_check(&c->now.s, c->work);
-    return c->now.s.i[IX_VERDICT] != before;
+    *event = c->now.s.i[IX_VERDICT] != before;
+    return LEVEL_OK;
 }
 
 Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {
