@@ -52,7 +52,7 @@ def contradictions(robot: Robot, model: Model, data: Recordings, own: bool, most
     found = diagnose_model(model, data)[0]
     named = [r for r in found.ranked if r.change is None]
     said: list[tuple[str, str]] = []
-    taken = [r for r in named[:most] if _added(model, data, [r], said, errors=r is named[0])]
+    taken = [r for r in named[:most] if _added(model, data, _whole(r, named), said, errors=r is named[0])]
     if len(named) > 1:
         _added(model, data, named, said, errors=True)
     for r in taken if own else ():
@@ -63,6 +63,11 @@ def contradictions(robot: Robot, model: Model, data: Recordings, own: bool, most
         "verdict": found.verdict, "named": [r.label for r in named], "gains": [1 - r.error_after / r.error_before for r in named],
         "numbers": [dict(r.fitted.values) for r in named], "contradictions": said,
     }  # fmt: skip
+
+
+def _whole(r: Ranked, named: Sequence[Ranked]) -> list[Ranked]:
+    """An effect with those that it is said to be added with, as the diagnosis orders them."""
+    return [x for x in named if x is r or x.label in r.together]
 
 
 def _added(model: Model, data: Recordings, named: Sequence[Ranked], said: list[tuple[str, str]], errors: bool) -> bool:

@@ -38,15 +38,16 @@ def main() -> None:
         if not ranked:
             break
         best = ranked[0]
-        done = add(model, [best.label], campaign_of(robot, args.data))
+        names = [best.label, *best.together]
+        done = add(model, names, campaign_of(robot, args.data))
         if step == 0:
             row("first identification", done.before | dict(model.revisions[-1].after))
         if done.model is None:
-            refused.add(best.label)
-            print(f"{best.label:<34}  refused: it does not help on held-out data", flush=True)
+            refused |= set(names)
+            print(f"{' '.join(names):<34}  refused: it does not help on held-out data", flush=True)
             continue
         model = done.model
-        row(f"+ {best.label}", done.after)
+        row(f"+ {' '.join(names)}", done.after)
 
 
 if __name__ == "__main__":

@@ -363,7 +363,10 @@ def test_a_violation_is_one_file_with_what_was_before_and_after(tmp_path: Path) 
     assert any(outside), "the tube in the file is the one that was left"
     assert min(v for v in seen["stopset/verdict"][at]["room_dq"] + seen["stopset/verdict"][at]["room_q"]) < 0.0
     (cause,) = seen["stopset/cause"]
-    assert cause["kind"] == "missing_effect" and seen["stopset/log"][0]["level"] == 4
+    (said,) = seen["stopset/log"]
+    # as foxglove.Log is defined: all of these, level 4 = ERROR
+    assert cause["kind"] == "missing_effect" and said["level"] == 4
+    assert set(said) == {"timestamp", "level", "message", "name", "file", "line"} and set(said["timestamp"]) == {"sec", "nsec"}
     assert len(seen["stopset/can"]) > len(states), "and what the bus said meanwhile"
     with path.open("rb") as f:
         (about,) = [m for m in make_reader(f).iter_metadata() if m.name == "stopset"]
@@ -389,6 +392,22 @@ def test_the_curves_stand_there_as_ros_messages_too(tmp_path: Path) -> None:
     assert any(x is None for row in states for x in row["effort"])
 
 
+def test_another_reader_understands_the_ros_messages_by_the_schema_beside_them(tmp_path: Path) -> None:
+    ros = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
+    path = Path(record(tmp_path / "record", known_model(), Records(before_s=0.5), altered()).answers[0].file)
+    states, drawn = topics(path)["stopset/joint_states"], list[Any]()
+    with path.open("rb") as f:
+        reader = make_reader(f, decoder_factories=[ros.DecoderFactory()])
+        for schema, _, _, message in reader.iter_decoded_messages(["stopset/ros/joint_states"]):
+            assert schema is not None and schema.name == "sensor_msgs/msg/JointState"
+            drawn.append(message)
+    assert len(drawn) == len(states) > 100
+    for d, row in zip(drawn, states, strict=True):
+        assert [d.header.stamp.sec, d.header.stamp.nanosec] == [row["timestamp"]["sec"], row["timestamp"]["nsec"]]
+        assert d.name == row["name"]
+        assert [list(d.position), list(d.velocity), list(d.effort)] == [row["position"], row["velocity"], row["effort"]]
+
+
 def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     r = altered()
     recorder = record(tmp_path / "record", known_model(), Records(before_s=0.5), r)
@@ -398,6 +417,11 @@ def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytes
     first = 250 + 1 - round(0.5 / DT)  # at the earliest
     assert any(np.array_equal(trial.q, r.q[k : k + len(trial.t)]) for k in range(first, first + 40)), "to the last bit"
     assert back.meta.effort == "compensated_torque" and back.meta.joints == known_model().joints
+    kind = recorder.answers[0].cause.kind.value.replace("_", " ")
+    assert back.meta.said == (f"{kind}: {recorder.answers[0].cause.says}",)
+    main(["inspect", str(path), "--report", str(tmp_path / "i.html")])
+    assert f"took its violation for: {back.meta.said[0]}" in capsys.readouterr().out
+    assert "took its violation for" in (tmp_path / "i.html").read_text(encoding="utf-8")
     model = tmp_path / "arm.model.json"
     save_model(known_model(), model)
     assert main(["compare", str(model), "--data", str(path), "--json", str(tmp_path / "c.json")]) == 1

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from stopset.effects import get
+from stopset.offline.diagnose.lacking import lacking, rises
 from stopset.offline.nominal.open_loop import SPEED_LIMIT, EffectTerm, JointBatch, roll_out
 from stopset.offline.nominal.output_error import FEW, STARTS, _lag_misfit, fit_joint, fit_lag
 
@@ -74,3 +75,24 @@ def test_a_strong_effect_does_not_lead_the_fit_to_no_inertia(
     found = fit_joint(data, "a", terms)
     assert found.inertia == pytest.approx(J, rel=0.02) and found.damping == pytest.approx(v, rel=0.02)
     assert found.effects[0].values["k"] == pytest.approx(k, rel=0.02)
+
+
+def test_the_torque_that_a_lag_lacks_is_what_was_put_on_it() -> None:
+    """Known inertia, damping and spring; half the trials carry 1.5 N m more than the parameters know, whatever the speed."""
+    moved = batch(1.8, 10.0, moving=6, still=0, seed=3)
+    terms = [EffectTerm(get("spring"), {}), EffectTerm(get("hysteresis"), {"delta": 0.02})]
+    theta = np.array([0.3, 12.0, 0.4, 0.8])
+    q, dq = roll_out(moved, np.array([1.8]), np.array([10.0]), theta[None, :], terms)
+    data = replace(moved, q=q[0], dq=dq[0])
+    p = np.r_[np.log([1.8, 10.0]), theta]
+    np.testing.assert_allclose(lacking(data, terms, p), 0.0, atol=2e-3)
+    push = np.where(np.arange(6) < 3, 1.5, 0.0)
+    np.testing.assert_allclose(lacking(replace(data, u=data.u + push), terms, p), push**2, rtol=0.05, atol=2e-3)
+
+
+def test_a_rise_counts_where_it_is_more_than_the_scatter_between_trials() -> None:
+    rng = np.random.default_rng(4)
+    before = rng.uniform(0.8, 1.2, 30)
+    assert rises(before, 1.2 * before) and not rises(before, 0.9 * before)
+    assert not rises(before, before + rng.normal(0.05, 1.0, 30)), "chance among the trials"
+    assert not rises(before, 1.01 * before), "less than counts, however sure"

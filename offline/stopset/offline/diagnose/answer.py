@@ -39,6 +39,7 @@ class Ranked:
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
     change: Change | None = None  # of a level that the model had
     objection: str = ""  # why it is no finding after all
+    together: tuple[str, ...] = ()  # effects that it must be added with: one of these alone makes some error larger
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
@@ -109,6 +110,7 @@ class Diagnosis:
                     "look_at": r.look_at,
                     "says": r.says,
                     "in_model": r.in_model,
+                    "together": list(r.together),
                 }
                 | ({} if r.change is None else {"change": {k: getattr(r.change, k) for k in ("before", "after", "std", "since")}})
                 for r in self.ranked

@@ -4,7 +4,8 @@ Such recordings hold ``u`` of eq. (11); there is no rigid body to regress, and t
 it while the simulation diverges).  Joint by joint, every effect of the catalogue that these signals carry is added to the
 model, fitted by output error on the even repetitions and simulated on the odd ones.  The best one is claimed while it lowers
 the held-out error by at least `OPEN_LOOP_CLAIM`, and in each half of the held-out trials by `OPEN_LOOP_HALVES`; then the next
-one is looked for.
+one is looked for.  The torque error of the held-out trials has a veto: claims that raise it are dropped, unless a later one
+of the joint brings it down again.  Those stand together only: a joint that warms while gravity is not right for it, say.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import REMEDIES, TRACELESS, UNRECORDED, Blind
+from stopset.offline.diagnose.lacking import lacking, rises
 from stopset.offline.nominal.open_loop import EffectTerm, JointBatch, joint_batches
 from stopset.offline.nominal.output_error import fit_joint, fit_lag, gauss_newton, residuals, start
 from stopset.progress import Progress, silent
@@ -51,18 +53,28 @@ class _Trial:
 
 @dataclass(frozen=True, slots=True)
 class _Claim:
-    """An effect claimed at a joint: held-out error ``before`` it, and effects that say almost as much."""
+    """An effect claimed at a joint: held-out error ``before`` it, effects that say almost as much, and held-out torque errors with it.
+
+    ``torque`` (B,): as `lacking`; ``together``: effects of this joint without which it would raise them.
+    """
 
     trial: _Trial
     before: float
     rivals: tuple[str, ...]
+    torque: Array
+    together: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        return self.trial.term.effect.name
 
 
 @dataclass(frozen=True, slots=True)
 class _Joint:
     """A joint's trials, even and odd; the terms its model has; what was claimed beside them, one after another.
 
-    ``refitted``, ``fitted``: numbers of both, estimated together.
+    ``refitted``, ``fitted``: numbers of both, estimated together; ``torque`` (B,): as `lacking`, without the claims; ``dropped``:
+    what lowers the position's error and raises the torque's.
     """
 
     name: str
@@ -72,18 +84,41 @@ class _Joint:
     claims: tuple[_Claim, ...]
     refitted: tuple[Fitted, ...]
     fitted: tuple[Fitted, ...]
+    torque: Array
+    dropped: tuple[_Claim, ...] = ()
 
     def ranked(self) -> list[Ranked]:
         return [_ranked(self.name, c, f, self.held.inside.shape[1]) for c, f in zip(self.claims, self.fitted, strict=True)]
 
-    def error(self, chosen: Sequence[str]) -> float:
-        """Held-out error [rad] with the claims ``chosen`` by name, in this order."""
-        names = [c.trial.term.effect.name for c in self.claims]
+    def errors(self, chosen: Sequence[str]) -> tuple[float, Array]:
+        """Held-out errors with the claims ``chosen`` by name, in this order: of the position [rad], of the torque as `lacking`."""
+        names = [c.name for c in self.claims]
         if list(chosen) == names[: len(chosen)]:
-            return self.claims[len(chosen)].before if len(chosen) < len(names) else self.claims[-1].trial.error
+            position = [*(c.before for c in self.claims), *(c.trial.error for c in self.claims[-1:])]
+            torque = [self.torque, *(c.torque for c in self.claims)]
+            return position[len(chosen)], torque[len(chosen)]
         by = dict(zip(names, self.claims, strict=True))
         terms = [*self.own, *(by[name].trial.term for name in chosen)]
-        return _held_out(self.held, terms, _fitted(self.train, terms))[0]
+        p = _fitted(self.train, terms)
+        return _held_out(self.held, terms, p)[0], lacking(self.held, terms, p)
+
+    def notes(self) -> list[str]:
+        """What was looked at and not claimed, for people."""
+        before = self.claims[-1].torque if self.claims else self.torque
+        return [
+            f"{c.name}:{self.name} would lower the simulated position's error from {c.before:.3g} to {c.trial.error:.3g} rad and raise "
+            f"the torque's from {_root(before):.3g} to {_root(c.torque):.3g} N m, both on repetitions it was not fitted to: "
+            "not claimed"
+            for c in self.dropped[:1]
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class JointStep:
+    """Held-out errors of a joint before and after a claim: of its position [rad], of its torque, (B,) as `lacking`."""
+
+    position: tuple[float, float]
+    torque: tuple[Array, Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +148,16 @@ class OpenLoop:
         taken = {r.label for r in chosen}
         return tuple(r.label for r, _ in self.ranked() if r.joints[0] in joints and r.label not in taken)
 
-    def steps(self, chosen: Sequence[Ranked]) -> list[tuple[float, float]]:
-        """Held-out error [rad] of its joint before and after each of the claims ``chosen``, beside those before it."""
+    def steps(self, chosen: Sequence[Ranked]) -> list[JointStep]:
+        """Held-out errors of its joint before and after each of the claims ``chosen``, beside those before it."""
         by, taken, out = {j.name: j for j in self.joints}, dict[str, list[str]](), []
         for r in chosen:
             mine = taken.setdefault(r.joints[0], [])
             joint = by[r.joints[0]]
-            before = joint.error(mine)
+            before = joint.errors(mine)
             mine.append(r.effect)
-            out.append((before, joint.error(mine)))
+            after = joint.errors(mine)
+            out.append(JointStep((before[0], after[0]), (before[1], after[1])))
         return out
 
     def with_claims(self, model: Sequence[Fitted], chosen: Sequence[Ranked]) -> tuple[Fitted, ...]:
@@ -147,6 +183,7 @@ def diagnose_open_loop(
         next_experiment=advice.to_decide(rivals),
         trials=found.trials,
         rows=found.rows,
+        notes=tuple(note for j in found.joints for note in j.notes()),
     )
 
 
@@ -190,10 +227,14 @@ def search_open_loop(
             f"simulating {name} with every effect: joint {k} of {len(asked)} done, {so_far} effects found so far", k / len(asked)
         )
         own = tuple(_term(f) for f in compensated(model.effects, model.abstraction) if f.joint in (name, None))
-        claims = tuple(_claims(name, train, held, list(own), candidates(train, None)))
+        found_there = tuple(_claims(name, train, held, list(own), candidates(train, None)))
+        torque = lacking(held, own, _fitted(train, own))
+        claims = standing(torque, found_there)
         terms = [*own, *(c.trial.term for c in claims)]
         fitted = fit_joint(whole, name, terms, float(inertia[j])).effects if claims else ()
-        searched.append(_Joint(name, train, held, own, claims, fitted[: len(own)], fitted[len(own) :]))
+        searched.append(
+            _Joint(name, train, held, own, claims, fitted[: len(own)], fitted[len(own) :], torque, found_there[len(claims) :])
+        )
     return OpenLoop(tuple(searched), len(trials), sum(len(r.t) for r in trials))
 
 
@@ -279,10 +320,25 @@ def _claims(joint: str, train: JointBatch, held: JointBatch, terms: list[EffectT
                 if t.error < (1 + limit.OPEN_LOOP_RIVAL) * top.error and t.term.effect.name != top.term.effect.name
             )
         )
-        yield _Claim(top, error, rivals)
         terms = [*terms, top.term]
+        yield _Claim(top, error, rivals, lacking(held, terms, top.p))
         p, error = top.p, top.error
         by_trial = _held_out(held, terms, p)[1]
+
+
+def standing(torque: Array, claims: Sequence[_Claim]) -> tuple[_Claim, ...]:
+    """The claims of a joint, in order, that do not raise its held-out ``torque`` error (B,), alone or with those they stand together with."""
+    out: list[_Claim] = []
+    for k, claim in enumerate(claims):
+        if not rises(torque, claim.torque):
+            group = claims[len(out) : k + 1]
+            out += [replace(c, together=tuple(x.name for x in group if x is not c)) for c in group]
+            torque = claim.torque
+    return tuple(out)
+
+
+def _root(mean_squares: Array) -> float:
+    return float(np.sqrt(mean_squares.mean()))
 
 
 def _fitted(train: JointBatch, terms: Sequence[EffectTerm]) -> Array:
@@ -318,4 +374,10 @@ def _ranked(joint: str, claim: _Claim, fitted: Fitted, trials: int) -> Ranked:
     parameters = {k: Parameter(v, units[k], fitted.std.get(k)) for k, v in fitted.values.items()}
     # twice the log likelihood ratio if every held-out trial counts once, however many samples it has
     score = 2.0 * trials * float(np.log(claim.before / error))
-    return Ranked(effect.name, (joint,), score, claim.before, error, parameters, effect.look_at, effect.says, "rad")
+    together = tuple(f"{name}:{joint}" for name in claim.together)
+    says = (
+        f"{effect.says} Add it with {', '.join(together)}: alone it would raise the torque's error." if together else effect.says
+    )
+    return Ranked(
+        effect.name, (joint,), score, claim.before, error, parameters, effect.look_at, says, "rad", together=together
+    )  # fmt: skip

@@ -79,6 +79,8 @@ OPEN_LOOP_RIVAL = 0.03  # of the best effect's error
 OPEN_LOOP_CLAIMS = 3  # per joint
 OPEN_LOOP_TRIALS = 3
 OPEN_LOOP_LOAD = 1e-6  # [N m]
+SURE_RISE = 2.0  # standard errors
+RISES = 0.02  # of the held-out torque error
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of `Tolerance`
 ROTOR_SCALES = (0.3, 0.6, 1.0)  # of `Tolerance`
@@ -254,6 +256,10 @@ SETTLED = (
     Threshold("OPEN_LOOP_CLAIMS", "most claims of a joint (compensated torque)", "", "chosen: a bound on the search"),
     Threshold("OPEN_LOOP_TRIALS", "even and odd repetitions from which on one is fitted and the other judged", "",
               "chosen"),
+    Threshold("SURE_RISE", "scatter of the mean over held-out trials by which a claim must raise the torque error to be dropped", "",
+              "chosen: two standard errors"),
+    Threshold("RISES", "share by which it must raise it besides (compensated torque)", "%",
+              "chosen: what an effect must lower it by, to help"),
     Threshold("OPEN_LOOP_LOAD", "change of load below which it counts as none", "N m",
               "rounding"),
     Threshold("DRIVES", "scale of the recorded torque, all drives alike, one standard deviation", "%",

@@ -9,7 +9,7 @@ Source: Liu & Althoff (2018), eq. (13); Ljung, System Identification (1999), sec
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -102,6 +102,21 @@ def _along_the_measurement(batch: JointBatch, terms: Sequence[EffectTerm]) -> Ar
     """
     if any(t.effect.states for t in terms):
         return None
+    impulse, columns = momentum(batch, terms)
+    known = [None, None, None, *(v for t in terms for v in (t.given or (None,) * len(t.effect.terms)))]
+    y = impulse - sum(v * columns[:, :, k] for k, v in enumerate(known) if v is not None)
+    X = columns[:, :, [k for k, v in enumerate(known) if v is None]][batch.inside]
+    size = np.linalg.norm(X, axis=0) + 1e-30
+    found = np.linalg.lstsq(X / size, y[batch.inside], rcond=1e-10)[0] / size
+    if found[0] <= 0.0 or found[1] <= 0.0:
+        return None
+    others = iter(found[3:].tolist())
+    return np.array([*np.log(found[:2]), found[2], *(next(others) if v is None else v for v in known[3:])])
+
+
+def momentum(batch: JointBatch, terms: Sequence[EffectTerm]) -> tuple[Array, Array]:
+    """Impulse (N, B) [N m s] of the torque since each trial's start, and what ``J, v, offset`` and the terms multiply in it,
+    (N, B, 3 + terms), along the measured motion: ``J (dq - dq0) + v (q - q0) + offset t + int effects = int u``."""
     elapsed = batch.dt * np.arange(len(batch.u))[:, None]
     s = Signals(
         q=batch.q, dq=batch.dq, given_direction=np.tanh(batch.dq / DIRECTION_WIDTH), load=batch.load, temp=batch.temp,
@@ -112,17 +127,20 @@ def _along_the_measurement(batch: JointBatch, terms: Sequence[EffectTerm]) -> Ar
         held = np.broadcast_to(x, batch.u.shape)[:-1]
         return np.vstack([np.zeros_like(batch.u[:1]), np.cumsum(held * batch.dt, axis=0)])
 
-    known = [v for t in terms for v in (t.given or (None,) * len(t.effect.terms))]
-    columns = [impulse(c) for t in terms for c in t.columns(s)]
-    y = impulse(batch.u) - sum(v * c for v, c in zip(known, columns, strict=True) if v is not None)
-    free = [c for v, c in zip(known, columns, strict=True) if v is None]
-    X = np.stack([batch.dq - batch.dq[0], batch.q - batch.q[0], elapsed + 0.0 * batch.q, *free], axis=2)[batch.inside]
-    size = np.linalg.norm(X, axis=0) + 1e-30
-    found = np.linalg.lstsq(X / size, y[batch.inside], rcond=1e-10)[0] / size
-    if found[0] <= 0.0 or found[1] <= 0.0:
-        return None
-    others = iter(found[3:].tolist())
-    return np.array([*np.log(found[:2]), found[2], *(next(others) if v is None else v for v in known)])
+    columns = [impulse(c) for t in terms for c in t.columns(replace(s, memory=_remembered(batch, t, s)))]
+    return impulse(batch.u), np.stack([batch.dq - batch.dq[0], batch.q - batch.q[0], elapsed + 0.0 * batch.q, *columns], axis=2)
+
+
+def _remembered(batch: JointBatch, term: EffectTerm, s: Signals) -> tuple[Array, ...]:
+    """What an effect remembers at every sample of the measured motion, (N, B) each; empty for one without memory."""
+    if not term.effect.states:
+        return ()
+    memory = [term.begun(batch.u.shape[1:])]
+    rows = zip(batch.q, batch.dq, np.asarray(s.direction), batch.load, batch.temp, np.asarray(s.t), strict=True)
+    for q, dq, direction, load, temp, t in rows:
+        now = Signals(q=q, dq=dq, given_direction=direction, load=load, temp=temp, warm=batch.warm, t=t)
+        memory.append(term.stepped(replace(now, memory=tuple(memory[-1])), batch.dt))
+    return tuple(np.stack(memory[:-1], axis=1))
 
 
 def _lag_misfit(batch: JointBatch) -> Callable[[Array], Array]:

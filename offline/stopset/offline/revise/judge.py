@@ -20,9 +20,11 @@ from stopset.errors import RecordingError
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.compensated import OpenLoop, search_open_loop
+from stopset.offline.diagnose.answer import Ranked
+from stopset.offline.diagnose.compensated import JointStep, OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import estimates
 from stopset.offline.diagnose.evidence.baseline import settled
+from stopset.offline.diagnose.lacking import rises
 from stopset.offline.diagnose.question import question
 from stopset.offline.revise.held_out import Halves, nominal_figures
 from stopset.progress import Progress
@@ -85,19 +87,24 @@ def by_simulation(
     """
     found = _named_by_simulation(judge, names)
     claims = {name: found.matching(name) if found else [] for name in names}
-    order = [r for name in names for r in claims[name]]
+    raised = _raised(found, claims) if found and not force else {}
+    order = [r for name in names if name not in raised for r in claims[name]]
     steps = dict(zip((r.label for r in order), found.steps(order) if found else (), strict=True))
-    at_first = {r.joints[0]: steps[r.label][0] for r in reversed(order)}
-    errors = start = _with_position(first or judge.simulated(settings, ()), at_first)
+    at_first = {r.joints[0]: steps[r.label] for r in reversed(order)}
+    errors = start = _at_joints(first or judge.simulated(settings, ()), at_first, 0)
     judged = []
     for name in names:
         judge.progress(f"judging {name} on held-out data")
         more = replace(settings, effects=(*settings.effects, name))
         after = judge.simulated(more, ())
         effect, joints = parse_effect(name, judge.robot)
-        if claims[name]:
+        if name in raised:
+            steps_there, why = raised[name]
+            before, after = (_at_joints(x, steps_there, k) for k, x in enumerate((errors, after)))
+            judged.append(Judged(name, before, after, helps=False, enters=entry(effect), why=why))
+        elif claims[name]:
             mine = {r.joints[0]: steps[r.label] for r in claims[name]}
-            before, after = (_with_position(x, {j: e[k] for j, e in mine.items()}) for k, x in enumerate((errors, after)))
+            before, after = (_at_joints(x, mine, k) for k, x in enumerate((errors, after)))
             beside = found.besides(order, mine) if found else ()
             judged.append(Judged(name, before, after, helps=True, enters=entry(effect), beside=beside))
         else:
@@ -122,11 +129,32 @@ def _named_by_simulation(judge: Judge, names: Sequence[str]) -> OpenLoop | None:
         return None
 
 
-def _with_position(simulated: Mapping[str, float], at: Mapping[str, float]) -> dict[str, float]:
-    """Simulated errors with those of the diagnosis at its joints."""
-    key = HELD_OUT[2]
-    each = {k: x for k, x in simulated.items() if k.startswith(f"{key}:")} | {f"{key}:{j}": e for j, e in at.items()}
-    return dict(simulated) | {key: _rms(each.values())} | each
+def _raised(found: OpenLoop, claims: Mapping[str, Sequence[Ranked]]) -> dict[str, tuple[dict[str, JointStep], str]]:
+    """Names whose claims raise the held-out torque error of their joints because what they stand together with is not asked for:
+    the steps at these joints, and the reason."""
+    asked = {r.label for mine in claims.values() for r in mine}
+    out, taken = dict[str, tuple[dict[str, JointStep], str]](), list[Ranked]()
+    for name, mine in claims.items():
+        missing = tuple(dict.fromkeys(x for r in mine for x in r.together if x not in asked))
+        steps = found.steps([*taken, *mine])[len(taken) :]
+        before, after = (sum((s.torque[k] for s in steps), np.zeros(1)) for k in (0, 1))
+        if missing and rises(before, after):
+            why = f"it raises the torque error of its joints on held-out data unless {' and '.join(missing)} is added with it"
+            out[name] = ({r.joints[0]: s for r, s in zip(mine, steps, strict=True)}, why)
+        else:
+            taken += mine
+    return out
+
+
+def _at_joints(simulated: Mapping[str, float], at: Mapping[str, JointStep], side: int) -> dict[str, float]:
+    """Simulated errors with those of the diagnosis at its joints, before (``side`` 0) or after (1)."""
+    found = {HELD_OUT[0]: {j: float(np.sqrt(s.torque[side].mean())) for j, s in at.items()}}
+    found[HELD_OUT[2]] = {j: s.position[side] for j, s in at.items()}
+    out = dict(simulated)
+    for key, there in found.items():
+        each = {k: x for k, x in simulated.items() if k.startswith(f"{key}:")} | {f"{key}:{j}": e for j, e in there.items()}
+        out |= {key: _rms(each.values())} | each
+    return out
 
 
 def retained_effects(model: Model) -> tuple[Fitted, ...]:
