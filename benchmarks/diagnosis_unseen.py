@@ -2,7 +2,8 @@
 
 ARMS holds folders with ``robot.urdf`` and ``robot.json``: templates of which every set gets a random relative, often of other
 size or with a joint more.  Every effect of `independent_effects` is hidden, easy (residual of its joint threefold) and hard
-(1.4-fold), beside healthy sets, causes outside the catalogue and pairs.  ``--seed`` decides everything.
+(1.4-fold), beside healthy sets, causes outside the catalogue and pairs.  ``--seed`` decides everything.  Sets that are made and
+answers that are there stay: `make` and `ask` go on where they were ended (answers of other code want another folder).
 
     python benchmarks/diagnosis_unseen.py make ARMS SETS --seed 20000 --rounds 1 --healthy 8 --outside 8 --pairs 5
     python benchmarks/diagnosis_unseen.py ask SETS --out ANSWERS
@@ -28,6 +29,7 @@ from independent_sets import Truth, random_truth, write_set
 from independent_sizing import RATIO, hide
 from scipy.stats import beta
 
+from stopset.files import write_text
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -151,7 +153,7 @@ def ask(folder: Path, out: Path, only: Sequence[str]) -> None:
     labels = json.loads((folder / "labels.json").read_text())
     out.mkdir(parents=True, exist_ok=True)
     for name, label in sorted(labels.items()):
-        if only and name not in only:
+        if (only and name not in only) or (out / f"{name}.json").exists():
             continue
         robot = load_robot(folder / name / "robot.urdf")
         start = time.process_time()
@@ -160,7 +162,7 @@ def ask(folder: Path, out: Path, only: Sequence[str]) -> None:
         words = ", ".join(f"{r.label} {r.score:.0f}" for r in (found.ranked or found.claims)) or "-"
         spent = time.process_time() - start
         print(f"{name} [{true}] {found.verdict}: {words} {list(found.depends_on)} {spent:.1f} s", flush=True)
-        (out / f"{name}.json").write_text(json.dumps(found.as_json()))
+        write_text(out / f"{name}.json", json.dumps(found.as_json()))
     rate(folder, out)
 
 
@@ -241,13 +243,16 @@ def main() -> None:
         return wander(args.sets)
     if args.command == "ask":
         return ask(args.sets, args.out, [x for x in args.only.split(",") if x])
-    arms, labels = templates(args.arms), {}
+    listed = args.sets / "labels.json"
+    arms, labels = templates(args.arms), json.loads(listed.read_text()) if listed.exists() else {}
     chosen = cases(args.rounds, args.healthy, args.outside, args.pairs, args.seed, args.walks, args.others, args.level, args.each)
     for k, first in enumerate(chosen):
         name, start = f"s{k:03d}", time.process_time()
+        if name in labels:
+            continue
         labels[name] = made(arms, first, args.seed + k, args.sets / name)
         print(name, labels[name], f"{time.process_time() - start:.1f} s", flush=True)
-        (args.sets / "labels.json").write_text(json.dumps(labels, indent=1))
+        write_text(listed, json.dumps(labels, indent=1))
     return None
 
 

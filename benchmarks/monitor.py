@@ -15,6 +15,8 @@ import contextlib
 import gc
 import json
 import os
+import select
+import socket
 import sys
 import tempfile
 import time
@@ -22,8 +24,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+from can.interfaces.socketcan.socketcan import capture_message
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -41,6 +45,7 @@ from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.layout import unpack
 from stopset.monitor.links.batch import Batch, Frame
 from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.socketcan import FRAME, SocketCanListener, usable
 from stopset.monitor.profile import load_profile
 from stopset.monitor.realtime import claim
 from stopset.monitor.replay import signal_rows
@@ -52,6 +57,7 @@ from stopset.sets import Box
 CYCLES = 4000
 ARM_TICKS = 2000
 MOST_FRAMES = 32  # of a cycle
+DRIVES_FRAMES = 13  # SYNC and two of each drive
 PRIORITY = 10
 KEY = Key(1, bytes(32))
 
@@ -227,6 +233,34 @@ def cycle_cost(model_path: Path, trial: Recording, before: dict[str, float]) -> 
     }  # fmt: skip
 
 
+def taking(rounds: int = 500) -> dict[str, float]:
+    """CPU [us] that a cycle's 13 frames cost to take from a raw socket, all at once and as python-can does it; a datagram socket here."""
+    with socket.socket(type=socket.SOCK_DGRAM) as end, socket.socket(type=socket.SOCK_DGRAM) as out:
+        end.bind(("127.0.0.1", 0))
+        out.connect(end.getsockname())
+        listener, batch = SocketCanListener(SimpleNamespace(socket=end)), Batch()
+
+        def one_by_one() -> None:
+            batch.clear()
+            while batch.count < DRIVES_FRAMES and select.select([end], [], [], 0.0)[0]:
+                m = capture_message(end)
+                batch.put(Frame(m.arbitration_id, m.data, m.timestamp))
+
+        took: dict[str, list[int]] = {"at_once": [], "one_by_one": []}
+        for _ in range(rounds):
+            for name, take in (("at_once", lambda: listener.fill(batch, 0.0)), ("one_by_one", one_by_one)):
+                for k in range(DRIVES_FRAMES):
+                    out.send(FRAME.pack(0x181 + k, 8, bytes(8)))
+                begin = time.thread_time_ns()
+                take()
+                took[name].append(time.thread_time_ns() - begin)
+                assert batch.count == DRIVES_FRAMES
+    cost = {name: float(np.median(x)) * 1e-3 for name, x in took.items()}
+    print(f"a cycle's {DRIVES_FRAMES} frames from a socket: {cost['at_once']:.1f} us CPU at once, {cost['one_by_one']:.1f} one by one, "
+          f"{cost['one_by_one'] / cost['at_once']:.1f} times as much")  # fmt: skip
+    return cost
+
+
 class Part:
     """A call whose thread CPU [ns] is written down."""
 
@@ -301,6 +335,8 @@ def main() -> None:
         results["many"] = many_arms(torque_path, motion(0, CYCLES), 12)
     else:
         results = cycle_cost(model_path, next(iter(read_recordings(recording))), before)
+    if usable():
+        results["taking_frames_cpu_us"] = taking()
     if args.json:
         args.json.write_text(json.dumps(results))
     for speed in () if args.no_live else (1.0, 4.0):

@@ -138,9 +138,9 @@ def live(camera: Camera, demo: Path, name: str, word: str) -> None:
             running("replay", str(here / f"{name}.parquet"), "--to", f"hub:{hub}", "--wait", "1", "--loop"),
             running("monitor", "--config", str(here / "c.toml")) as monitor,
         ):
-            until(lambda: _listens(port), "the monitor")
+            until(lambda: listens(port), "the monitor")
             with running("watch", "--config", str(here / "c.toml"), "--port", str(page), "--reset-as", "A. Smith"):
-                until(lambda: _listens(page), "the live page")
+                until(lambda: listens(page), "the live page")
                 camera.take(
                     url,
                     f"live-{name}",
@@ -150,7 +150,7 @@ def live(camera: Camera, demo: Path, name: str, word: str) -> None:
                 camera.take(url, f"live-{name}-killed", f"{says}'NO DATA'")
 
 
-def _listens(port: int) -> bool:
+def listens(port: int) -> bool:
     with socket.socket() as s:
         return s.connect_ex(("127.0.0.1", port)) == 0
 
@@ -188,11 +188,11 @@ def fleet(camera: Camera) -> None:
     processes = [context.Process(target=router, args=(port, used), daemon=True)]
     processes.append(context.Process(target=simulated_arms, args=(port, 0, HALL, ready), daemon=True))
     processes[0].start()
-    until(lambda: _listens(port), "the router")
+    until(lambda: listens(port), "the router")
     processes[1].start()
     ready.wait(PATIENCE)
     with running("fleet", "--connect", f"tcp/127.0.0.1:{port}", "--port", str(page)):
-        until(lambda: _listens(page), "the fleet's page")
+        until(lambda: listens(page), "the fleet's page")
         camera.take(f"http://127.0.0.1:{page}/", "fleet", f"document.querySelectorAll('article.OK').length == {HALL}")
     for process in processes[::-1]:
         process.kill()

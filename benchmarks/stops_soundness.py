@@ -109,9 +109,10 @@ def coverage(model: Model, payload: tuple[float, float], top: float, pieces: int
     n, rng, tight, good = model.n, np.random.default_rng(77), 0, 0
     for _ in range(states):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top, n)
-        tubes = tubes_of(s, Start(q, dq, s.noise.radius[:n], s.noise.radius[n:]), pieces)
-        good += tubes[-1].end == OK
-        tight += tubes[-1].end == OK and not any(t.energetic for t in tubes)
+        start = Start(q, dq, s.noise.radius[:n], s.noise.radius[n:])
+        alone = tubes_of(s, start, pieces, last_resort=False)[-1].end == OK
+        tight += alone
+        good += alone or tubes_of(s, start, pieces)[-1].end == OK
     return tight / states, good / states
 
 

@@ -18,6 +18,8 @@ from conftest import current
 from stopset.core import build
 from stopset.core.library import ffi, lib, view
 
+ASKS_THE_PROCESSOR = b"\x0f\x01\xd0"  # the instruction xgetbv, which nothing else in the core has
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -76,6 +78,23 @@ def test_zig_makes_the_same_bits_as_the_systems_compiler(tmp_path: Path) -> None
     theirs.stopset_regressors(arm_struct(arm.chain, arm.pi), 50, view(q), view(dq), view(ddq), view(Y))
     theirs.stopset_mass_matrices(arm_struct(arm.chain, arm.pi), 50, view(q), view(M))
     assert np.array_equal(Y, regressors(arm.chain, q, dq, ddq)) and np.array_equal(M, mass_matrices(arm.chain, arm.pi, q))
+    made = (tmp_path / build.library_name()).read_bytes()
+    assert ASKS_THE_PROCESSOR in made  # else it would run the narrow loops wherever it is installed
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="ziglang is not installed")
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists() or platform.machine() != "x86_64", reason="needs x86-64 Linux")
+def test_zigs_clones_are_chosen_by_what_the_processor_has(tmp_path: Path) -> None:
+    """A clone each for four numbers at a time and for two, and the one that the loader takes."""
+    (tmp_path / "main.c").write_text(
+        '__attribute__((target_clones("avx2", "default"))) int twice(int x) { return 2 * x; }\n'
+        "extern struct { unsigned vendor, type, subtype, features[1]; } __cpu_model;\n"
+        "int main(void) { return twice(__cpu_model.features[0] >> 10 & 1); }\n"
+    )
+    target, program = build.TARGETS["linux-x86_64"][0], str(tmp_path / "main")
+    subprocess.run([*build.zig(), "-target", target, str(tmp_path / "main.c"), str(build.PROCESSOR), "-o", program], check=True)
+    has = "avx2" in Path("/proc/cpuinfo").read_text().split("flags", 1)[1].split("\n", 1)[0].split()
+    assert subprocess.run([program], check=False).returncode == 2 * has
 
 
 def test_without_any_compiler_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from monitor_process import free_port
 from patience import wait
@@ -141,6 +143,27 @@ def test_a_look_makes_the_rows_that_it_shows_and_counts_all() -> None:
     assert [r["arm"] for r in every[:3]] == [f"hall/cell{k}/arm" for k in (1, 4, 7)]
 
 
+def test_arms_that_find_no_place_are_counted_and_said() -> None:
+    said: list[str] = []
+    fleet, each = Fleet(notice=lambda: "; ".join(said), most=3), json.dumps({"state": "FAULT", "why": "w"}).encode()
+    for k in range(3):
+        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", there=True)
+    assert fleet.snapshot()["beyond"] == 0 and fleet.snapshot()["notice"] == ""
+    for _ in range(5):
+        fleet.take_json("hall/cell3/arm/stopset/state/json", each)
+        fleet.take_json("hall/cell4/arm/stopset/state/json", each)
+    shot = fleet.snapshot()
+    assert shot["arms"] == 3 and shot["beyond"] == 2
+    assert shot["notice"].startswith("2 arms beyond the 3 that are shown were heard")
+    said.append("the disk is full")
+    for k in range(5, 100):
+        fleet.take_alive(f"hall/cell{k}/arm/stopset/alive", there=True)
+    assert fleet.snapshot()["beyond"] == 3, "strangers' names do not fill the memory"
+    out = io.StringIO()
+    Console(file=out, width=300).print(terminal(fleet))
+    assert "3 or more arms beyond the 3" in out.getvalue() and "; the disk is full" in out.getvalue()
+
+
 def test_arms_are_counted_as_people_count() -> None:
     fleet = Fleet()
     for k in (10, 2, 1):
@@ -149,10 +172,6 @@ def test_arms_are_counted_as_people_count() -> None:
 
 
 def test_text_of_strangers_is_text(browser: Any) -> None:
-    import io
-
-    from rich.console import Console
-
     evil = "<img src=x onerror=document.body.id='ran'>\x1b]0;owned\x07"
     fleet = Fleet()
     for data in (b"{", b"[]", b'{"state": 3}', b'{"state": "FINE", "why": ""}', b"[" * 100_000, b" " * (2 << 20)):

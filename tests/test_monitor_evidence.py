@@ -398,6 +398,11 @@ def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytes
     first = 250 + 1 - round(0.5 / DT)  # at the earliest
     assert any(np.array_equal(trial.q, r.q[k : k + len(trial.t)]) for k in range(first, first + 40)), "to the last bit"
     assert back.meta.effort == "compensated_torque" and back.meta.joints == known_model().joints
+    kind = recorder.answers[0].cause.kind.value.replace("_", " ")
+    assert back.meta.said == (f"{kind}: {recorder.answers[0].cause.says}",)
+    main(["inspect", str(path), "--report", str(tmp_path / "i.html")])
+    assert f"took its violation for: {back.meta.said[0]}" in capsys.readouterr().out
+    assert "took its violation for" in (tmp_path / "i.html").read_text(encoding="utf-8")
     model = tmp_path / "arm.model.json"
     save_model(known_model(), model)
     assert main(["compare", str(model), "--data", str(path), "--json", str(tmp_path / "c.json")]) == 1

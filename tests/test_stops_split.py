@@ -22,12 +22,15 @@ PIECES, LASTS = 64, 0.3
 
 
 class Counted:
-    """Tubes of one state, counted; one comes to rest where the interval that harms most does at most ``widest`` of what it does uncut."""
+    """Tubes of one state, counted; one comes to rest where the interval that harms most does at most ``widest`` of what it does uncut.
 
-    def __init__(self, widest: float) -> None:
+    ``falls``: the kinetic energy shows no end.
+    """
+
+    def __init__(self, widest: float, *, falls: bool = True) -> None:
         setting = StopBounds.of(shipped(), (2.75, 3.0)).setting
         assert setting is not None
-        self.setting, self.widest = setting, widest
+        self.setting, self.widest, self.falls = setting, widest, falls
         self.start = Start(np.zeros(6), np.full(6, 0.3), np.zeros(6), np.zeros(6))
         self.tried: list[Plant] = []
         self.closed: list[Plant] = []
@@ -40,7 +43,7 @@ class Counted:
         tube = march_box(self.setting, plant, self.start, energetic=energetic, knots=Knots(20, 1))
         if energetic:
             self.energetic += 1
-            return tube
+            return tube._replace(end=OK + 1) if self.falls else tube
         self.tried.append(plant)
         if self.harm(plant) > self.widest * self.harm(self.setting.plant):
             return tube._replace(end=OK + 1)
@@ -55,8 +58,14 @@ def cut(march: Counted) -> list[Tube]:
 
 def test_where_no_part_comes_to_rest_few_tubes_are_tried() -> None:
     march = Counted(widest=-1.0)
-    assert len(cut(march)) == 1 and march.energetic == 1
-    assert len(march.tried) <= TRIALS
+    assert [t.end for t in cut(march)] != [OK] and march.energetic == 1
+    assert 1 < len(march.tried) <= TRIALS
+
+
+def test_nothing_is_cut_where_the_energy_knows_an_end() -> None:
+    march = Counted(widest=-1.0, falls=False)
+    assert [(t.end, t.energetic) for t in cut(march)] == [(OK, True)]
+    assert len(march.tried) == march.energetic == 1
 
 
 def test_a_budget_that_successes_extend_is_kept() -> None:
@@ -105,6 +114,6 @@ def test_a_tube_of_joint_speeds_stays_where_the_energy_lets_the_arm_go_farther()
             wide[1] = tube.v_lo[1] + 9.0  # as when bands feed on each other
             return tube._replace(v_hi=wide, d_hi=tube.d_hi + (1.0 if energetic else 0.0))
 
-    march = Farther(widest=1.0)
-    tubes = nearer(march, march.setting.plant, cut(march))
-    assert [t.energetic for t in tubes] == [False] and march.energetic == 1
+    march = Farther(widest=1.0, falls=False)
+    (tube,) = cut(march)
+    assert not nearer(march, march.setting.plant, tube).energetic and march.energetic == 1

@@ -74,6 +74,7 @@ FLAGS = (
 )  # fmt: skip
 LINK = ("-shared", "-s")
 WINDOWS = ("windows.c", "msvcrt.def")
+PROCESSOR = "processor.c"  # of the core, for zig on x86-64 Linux alone, where the core's loops choose their instructions at load
 
 
 def compiler() -> list[str]:
@@ -111,6 +112,7 @@ def _objects(folder: Path, units: Sequence[str], platform: Platform, flags: Sequ
 def _compile_core(folder: Path, units: Sequence[str], platform: Platform) -> bytes:
     """What does not depend on the model, as an archive."""
     out = f"core-{platform.name}.a"
+    units = [*units, PROCESSOR] if platform.name == "x86_64-linux" else units
     objects = _objects(folder, units, platform, ["-fPIC"] if platform.suffix == ".so" else [])
     # appended, as files of two folders have one name; without times and owners
     _run([*compiler(), "ar", "qcsD", out, *objects], folder, platform)
@@ -172,7 +174,8 @@ def binaries(
     compiler()  # refuses early where there is none
     own = resources.files("stopset.fmu") / "core"
     sources = {**sources, **{name: (own / name).read_text() for name in WINDOWS}}
-    core = {name: text for name, text in sources.items() if name.startswith(f"{CORE}/")}
+    sources[PROCESSOR] = (resources.files("stopset.core") / PROCESSOR).read_text()
+    core = {name: text for name, text in sources.items() if name.startswith(f"{CORE}/") or name == PROCESSOR}
     shared = [unit for unit in units if unit in core]
     out: dict[str, bytes] = {}
     done, begin = itertools.count(1), time.monotonic()

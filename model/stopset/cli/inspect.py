@@ -47,6 +47,8 @@ def _print_answer(r: Inspection) -> None:
     rate = f"{o['rate_hz']:.4g} Hz" if o["rate_hz"] else "unknown rate"
     say(f"{r.path}\n  {o['trials']} trials, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, "
         f"{o['velocity']} velocity, {o['clock']} clock; channels {', '.join(o['channels'])}")  # fmt: skip
+    for cause in o["said"]:
+        say(f"  the monitor that wrote it took its violation for: {cause}")
     for phase, p in o["phases"].items():
         say(f"  {phase:12} {p['trials']:5} trials of {p['motions']} suites, {p['seconds']:.4g} s")
     for joint, x in o["joints"].items():

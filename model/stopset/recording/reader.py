@@ -101,6 +101,7 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
             rate_hz=float("nan" if d.get("rate_hz") is None else d["rate_hz"]),
             torque_constant=None if constant is None else tuple(float(c) for c in constant),
             warnings=_assumed(path, columns),
+            said=tuple(str(x) for x in d.get("said", ())),
         )
     except (ValueError, TypeError, KeyError) as e:
         raise RecordingError(

@@ -20,7 +20,7 @@ def open_seen(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
 
     A file that breaks off, because the machine lost its power, is read as far as it goes.
     """
-    about, rows = _read(path)
+    about, rows, causes = _read(path)
     if about is None:
         raise RecordingError(
             f"{path} is an MCAP file, but none that a monitor has written; expected its joint states: bring it in with stopset import"
@@ -30,7 +30,7 @@ def open_seen(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
         table = _table(rows, joints, cycle)
         meta = {
             "robot": about["robot"], "joints": joints, "effort": about["effort"], "velocity": "measured", "clock": "recorded",
-            "rate_hz": 1.0 / cycle,
+            "rate_hz": 1.0 / cycle, "said": [f"{c['kind'].replace('_', ' ')}: {c['says']}" for c in causes],
         }  # fmt: skip
     except (KeyError, TypeError, ValueError, ArithmeticError, pa.ArrowException) as e:
         raise RecordingError(f"{path} is no sound record of a monitor ({type(e).__name__}: {e}); copy it again") from e
@@ -38,15 +38,16 @@ def open_seen(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
     return table.schema, iter(table.to_batches())
 
 
-def _read(path: Path) -> tuple[dict[str, str] | None, list[dict[str, Any]]]:
+def _read(path: Path) -> tuple[dict[str, str] | None, list[dict[str, Any]], list[dict[str, Any]]]:
+    """What the file is about, its joint states, what the monitor took for the causes of violations."""
     try:
         from mcap.records import Channel, Message, Metadata
         from mcap.stream_reader import StreamReader
     except ImportError as e:
         raise RecordingError(f"{path} needs the package mcap to be read; install stopset[monitor]") from e
     about: dict[str, str] | None = None
-    wanted: set[int] = set()
-    rows: list[dict[str, Any]] = []
+    wanted = {"stopset/joint_states": (rows := list[dict[str, Any]]()), "stopset/cause": (causes := list[dict[str, Any]]())}
+    channels: dict[int, list[dict[str, Any]]] = {}
     begun = False
     with path.open("rb") as f:
         try:
@@ -54,14 +55,14 @@ def _read(path: Path) -> tuple[dict[str, str] | None, list[dict[str, Any]]]:
                 begun = True
                 if isinstance(record, Metadata) and record.name == "stopset":
                     about = record.metadata
-                elif isinstance(record, Channel) and record.topic == "stopset/joint_states":
-                    wanted.add(record.id)
-                elif isinstance(record, Message) and record.channel_id in wanted:
-                    rows.append(json.loads(record.data))
+                elif isinstance(record, Channel) and record.topic in wanted:
+                    channels[record.id] = wanted[record.topic]
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    channels[record.channel_id].append(json.loads(record.data))
         except Exception as e:  # a damaged length or chunk ends the reader in the words of zstandard, struct or Python
             if not (begun and rows):
                 raise RecordingError(f"{path} is not a readable MCAP file ({type(e).__name__}: {e}); copy it again") from e
-    return about, rows
+    return about, rows, causes
 
 
 def _table(rows: list[dict[str, Any]], joints: list[str], cycle_s: float) -> pa.Table:

@@ -30,6 +30,7 @@ class Meta:
     torque_constant: tuple[float, ...] | None = None  # [N m/A], link side
     warnings: tuple[str, ...] = ()
     sources: tuple[tuple[str, str], ...] = ()  # (file name, SHA-256)
+    said: tuple[str, ...] = ()  # what a monitor took for the causes of violations in it
 
 
 @dataclass(frozen=True, slots=True)

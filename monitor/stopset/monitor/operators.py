@@ -95,10 +95,10 @@ class Operators:
 
     def refused(self, order: Reset, now: Moment) -> str:
         """Why this order does not clear the latch, empty if it does; ``now``: the message the monitor is at."""
-        from cryptography.exceptions import InvalidSignature
-
         if not self.keys:
             return ""
+        from cryptography.exceptions import InvalidSignature  # there since the keys were read: the loop imports nothing
+
         if not order.key:
             return "the order is not signed; expected one by an operator's key: stopset reset --key"
         if order.key not in self.keys:

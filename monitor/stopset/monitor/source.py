@@ -143,6 +143,7 @@ class CanSource:
             "other_frames": d.unknown,
             "missed_cycles": self._count.missed,
             "dropped": self.dropped,
+            "lost_frames": getattr(self.bus, "lost", 0),
         }
 
     def complaints(self) -> list[str]:

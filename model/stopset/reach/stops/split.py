@@ -1,4 +1,4 @@
-"""When one tube is not enough: brakes and rotors are constant during a
+"""When one tube is not enough: the kinetic energy; else brakes and rotors are constant during a
 stop, so their intervals may be cut in two and each half bounded.
 
 The interval to cut next is the one whose uncertain impulse can do most harm to the other joints.
@@ -64,16 +64,34 @@ class March(Protocol):
 
 
 def certify(march: March, plant: Plant, q: Array, lasts: float, pieces: int, *, last_resort: bool) -> list[Tube]:
-    """Tubes that together hold every stop, cutting intervals where one tube does not come to rest.
+    """Tubes that together hold every stop: one, or one with the help of the kinetic energy, or of cut intervals.
 
-    At most ``pieces`` tubes are kept, and no more tried than `TRIALS` and `REWARD` for each that came to rest: where the first ones
-    do not, the rest seldom does. The part that can do most harm is tried first. Where that does not suffice there is, as a
-    ``last_resort``, one tube with the help of the kinetic energy. If that fails too the only tube is not OK.
+    With ``last_resort`` the energy is asked where one tube does not come to rest, before any interval is cut: where it knows an end that
+    is seldom farther than what the pieces find, at the cost of one of many. At most ``pieces`` tubes are kept, and no more tried than
+    `TRIALS` and `REWARD` for each that came to rest: where the first ones do not, the rest seldom does. The part that can do most harm
+    is tried first. If all fails the only tube is not OK.
     """
+    tube = march(plant, energetic=False)
+    if tube.end != OK and last_resort:
+        tube = march(plant, energetic=True)
+    if tube.end == OK:
+        return [tube]
+    return _cut(march, plant, q, lasts, pieces) or [tube]
+
+
+def _cut(march: March, plant: Plant, q: Array, lasts: float, pieces: int) -> list[Tube]:
+    """Tubes of joint speeds of parts of ``plant``, which as a whole has none; none of them where not all come to rest."""
     order = count()
-    todo: list[tuple[float, int, Plant]] = [(0.0, next(order), plant)]
+    todo: list[tuple[float, int, Plant]] = []
     done: list[Tube] = []
-    tried = 0
+
+    def cut(part: Plant) -> None:
+        for half in halves(part, q, lasts):
+            heappush(todo, (-float(harm_of(half, q, lasts).max()), next(order), half))
+
+    tried = 1
+    if pieces > 1:
+        cut(plant)
     while todo:
         part = heappop(todo)[-1]
         tube = march(part, energetic=False)
@@ -81,23 +99,21 @@ def certify(march: March, plant: Plant, q: Array, lasts: float, pieces: int, *, 
         if tube.end == OK:
             done.append(tube)
         elif len(todo) + len(done) + 2 > pieces or tried + len(todo) + 2 > TRIALS + REWARD * len(done):
-            return [march(plant, energetic=True) if last_resort else tube]
+            return []
         else:
-            for half in halves(part, q, lasts):
-                heappush(todo, (-float(harm_of(half, q, lasts).max()), next(order), half))
+            cut(part)
     return done
 
 
-def nearer(march: March, plant: Plant, tubes: list[Tube]) -> list[Tube]:
-    """``tubes`` of ``plant`` that came to rest, or one with the help of the kinetic energy where that lets the arm go less far.
+def nearer(march: March, plant: Plant, tube: Tube) -> Tube:
+    """``tube`` of ``plant`` that came to rest, or one with the help of the kinetic energy where that lets the arm go less far.
 
     It is asked where bands of speeds have fed on each other though they closed: there the energy often knows more.
     """
-    if not any(map(_blurred, tubes)):
-        return tubes
+    if not _blurred(tube):
+        return tube
     whole = march(plant, energetic=True)
-    less = np.mean(_reach(whole) / np.max([_reach(t) for t in tubes], axis=0)) < 1.0
-    return [whole] if whole.end == OK and less else tubes
+    return whole if whole.end == OK and np.mean(_reach(whole) / _reach(tube)) < 1.0 else tube
 
 
 def _blurred(tube: Tube) -> bool:

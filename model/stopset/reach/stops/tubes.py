@@ -150,8 +150,8 @@ def tubes_of(
     delay_spread = setting.delay_spread if pieces > 1 or fast else None
     for plant in reversed(windows(setting.plant, delay_spread, setting.lag, FAST_WINDOWS if fast else None)):
         part = certify(one, plant, start.q, lasts, pieces, last_resort=last_resort)
-        if part[-1].end == OK and last_resort and not (fast or part[-1].energetic):
-            part = nearer(one, plant, part)
+        if [t.end for t in part] == [OK] and last_resort and not (fast or part[0].energetic):
+            part = [nearer(one, plant, part[0])]
         out += part
         if part[-1].end != OK:
             break

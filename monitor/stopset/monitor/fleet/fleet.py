@@ -60,12 +60,13 @@ class _Arm:
 class Fleet:
     """Fed from zenoh's threads, read by the displays; ``clock`` gives seconds that never go back.
 
-    ``notice``: what somebody should know besides, "" for nothing.
+    ``notice``: what somebody should know besides, "" for nothing; ``most``: arms that are shown, the first that were heard.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, notice: Callable[[], str] = str) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic, notice: Callable[[], str] = str, most: int = MOST) -> None:
         self._arms: dict[str, _Arm] = {}
-        self._clock, self._lock, self.garbled, self._notice = clock, threading.Lock(), 0, notice
+        self._beyond: set[int] = set()  # hashes of the names that found no place, as many as of those that did
+        self._clock, self._lock, self.garbled, self._notice, self._most = clock, threading.Lock(), 0, notice, most
 
     def take_alive(self, key: str, *, there: bool) -> None:
         """A token appeared or went."""
@@ -93,9 +94,22 @@ class Fleet:
 
     def _arm(self, key: str) -> _Arm | None:
         name = plain(key.partition("/stopset/")[0])
-        if name not in self._arms and len(self._arms) < MOST:
-            self._arms[name] = _Arm(since=self._clock(), place=_counted(name))
+        if name not in self._arms:
+            if len(self._arms) < self._most:
+                self._arms[name] = _Arm(since=self._clock(), place=_counted(name))
+            elif len(self._beyond) < self._most:
+                self._beyond.add(hash(name))
         return self._arms.get(name)
+
+    def _not_shown(self) -> str:
+        """That there are more arms than have a place; "" where there are none."""
+        n = len(self._beyond)
+        return (
+            f"{n}{' or more' if n == self._most else ''} arms beyond the {self._most} that are shown were heard and are watched by nobody here: "
+            "look at one hall at a time (--arms hall3/*/*)"
+            if n
+            else ""
+        )
 
     def rows(self) -> list[dict[str, Any]]:
         """One per arm, what needs somebody first; numbers only of an arm that speaks."""
@@ -119,7 +133,10 @@ class Fleet:
         """What the displays show: how many arms are in which state, and the first ``most`` of them."""
         rows, found = self._shown(most)
         counts = {word: found[word] for word in ORDER if found[word]}
-        return {"arms": found.total(), "counts": counts, "rows": rows, "garbled": self.garbled, "notice": self._notice()}
+        notice = "; ".join(filter(None, (self._not_shown(), self._notice())))
+        return {
+            "arms": found.total(), "counts": counts, "rows": rows, "garbled": self.garbled, "beyond": len(self._beyond), "notice": notice,
+        }  # fmt: skip
 
 
 def _counted(name: str) -> list[tuple[int, str]]:

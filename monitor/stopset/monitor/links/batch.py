@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 from stopset.core.library import ffi
 
 SIZE = 128  # frames taken from a bus at once
+PLACE = struct.Struct("=Ii8sd")  # the core's StopsetFrame; of longer data eight bytes are here, as there
 
 
 class Frame(NamedTuple):
@@ -20,7 +22,8 @@ class Frame(NamedTuple):
 
 
 class Listener(Protocol):
-    """A bus as the monitor sees it: there is nothing here to send with. Links may also `fill` a batch, see `filler`."""
+    """A bus as the monitor sees it: there is nothing here to send with. Links may also `fill` a batch, see `filler`, and
+    count the frames that were ``lost`` before they could be taken."""
 
     def recv(self, timeout: float) -> Frame | None: ...
     def close(self) -> None: ...
@@ -33,12 +36,15 @@ class Batch:
     frames: Any = field(default_factory=lambda: ffi.new("StopsetFrame[]", SIZE))
     count: int = 0
     taken: Any = field(default_factory=lambda: ffi.new("int64_t *"))
+    _memory: Any = field(init=False)  # of the frames
+
+    def __post_init__(self) -> None:
+        self._memory = ffi.buffer(self.frames)
 
     def put(self, frame: Frame) -> None:
         """One more frame; there must be room."""
-        place, data = self.frames[self.count], frame.data
-        place.id, place.length, place.t = frame.cob_id & 0xFFFFFFFF, len(data), frame.t
-        ffi.memmove(place.data, data, min(len(data), 8))
+        cob_id, data, t = frame
+        PLACE.pack_into(self._memory, self.count * PLACE.size, cob_id & 0xFFFFFFFF, len(data), data, t)
         self.count += 1
 
     def clear(self) -> None:

@@ -19,6 +19,7 @@ import can
 from stopset.errors import BusError
 from stopset.monitor.links.batch import Frame, Listener
 from stopset.monitor.links.hub import Hub, HubClient
+from stopset.monitor.links.socketcan import SocketCanListener, usable
 
 GROUP = "stopset.links"
 
@@ -149,6 +150,8 @@ def listen(spec: str, wait_s: float = 0.0) -> Listener:
         try:
             if interface == "hub":
                 return HubClient(*_address(channel))
+            if interface == "socketcan" and usable():
+                return SocketCanListener(_python_can(spec))
             return _CanListener(spec)
         except BusError:
             if time.monotonic() > end:

@@ -239,5 +239,5 @@ def _offers(campaign: _Campaign, meta: Meta, joints: Sequence[str]) -> dict[str,
         "robot": meta.robot, "effort": meta.effort, "velocity": meta.velocity, "clock": meta.clock,
         "rate_hz": number(1 / period) if period > 0 else None, "jitter": number(max(t.jitter, default=float("nan"))),
         "trials": t.trials, "samples": t.samples, "seconds": round(t.seconds, 3), "phases": campaign.phases(),
-        "channels": ["q", "dq", "tau", *sorted(campaign.channels)], "joints": ranges,
+        "channels": ["q", "dq", "tau", *sorted(campaign.channels)], "joints": ranges, "said": list(meta.said),
     }  # fmt: skip

@@ -50,6 +50,8 @@ def _file(out: Page, r: Inspection) -> None:
         f"{o['trials']} trials, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, {o['velocity']} velocity, "
         f"{o['clock']} clock; channels {', '.join(o['channels'])}."
     )
+    for cause in o["said"]:
+        out.text(f"The monitor that wrote it took its violation for: {cause}.")
     order = {"error": 0, "warning": 1, "note": 2}
     if r.findings:
         out.table(

@@ -148,6 +148,12 @@ class _Scores:
         return float(np.clip(ratio, 1.0, MOST_INFLATION))
 
 
+def to_unit_length(squares: Array, rows: float) -> Array:
+    """(k,) what scales columns of these ``squares``, summed over ``rows``, to length one; zero for what is zero but for rounding."""
+    felt = squares > FELT**2 * rows
+    return np.where(felt, 1 / np.sqrt(np.where(felt, squares, 1.0)), 0.0)
+
+
 def _scores(data: NormalEquations, moving: Array, p: _Problem) -> list[_Scores | None]:
     """Of each joint; None with too few groups to tell."""
     out: list[_Scores | None] = []
@@ -159,8 +165,7 @@ def _scores(data: NormalEquations, moving: Array, p: _Problem) -> list[_Scores |
         cut = np.r_[0 : len(p.index[j]), moving.shape[-1] - 1]
         G = moving[groups, j][:, cut][:, :, cut]
         A = G[:, :-1, :-1].sum(axis=0)
-        felt = np.diag(A) > FELT**2 * data.rows_moving[groups, j].sum()
-        d = np.where(felt, 1 / np.sqrt(np.maximum(np.diag(A), 1e-300)), 0.0)
+        d = to_unit_length(np.diag(A), float(data.rows_moving[groups, j].sum()))
         values, vectors = np.linalg.eigh(d[:, None] * A * d)
         sound = values > 1e-7 * values[-1]
         W = (d[:, None] * vectors[:, sound] / np.sqrt(values[sound])).T

@@ -15,7 +15,7 @@ import numpy as np
 
 from stopset.effects.selection import usual_friction
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
-from stopset.offline.nominal.fit import residual
+from stopset.offline.nominal.fit import residual, to_unit_length
 from stopset.offline.nominal.normal_equations import accumulate
 from stopset.offline.nominal.preprocess import Preprocessing, even_pieces
 from stopset.recording.types import Recording
@@ -38,15 +38,15 @@ def recorded_low_pass(robot: Robot, trials: Sequence[Recording]) -> float:
     some = _some(trials)
     if not some or not all(_quiet(r) for r in some):
         return 0.0
-    plain = _left(robot, some, 0.0)
-    tried = {f: _left(robot, some, f) for f in CUTOFFS}
+    plain = log_torque_error(robot, some, 0.0)
+    tried = {f: log_torque_error(robot, some, f) for f in CUTOFFS}
     best: float = min(CUTOFFS, key=lambda f: tried[f])
     if tried[best] > plain + np.log1p(-FILTER_LOWERS):
         return 0.0
     # the ends of pieces, which the filter did not have, pull the cut-off down: where it is, the longest trial says in one
     longest = max(trials, key=lambda r: float(r.t[-1] - r.t[0]) if r.phase != "static" else 0.0)
     whole = [longest.cut(0, int(np.searchsorted(longest.t, longest.t[0] + SECONDS)))]
-    finer = {f * best: _left(robot, whole, f * best) for f in (1.0, *FINER)}
+    finer = {f * best: log_torque_error(robot, whole, f * best) for f in (1.0, *FINER)}
     sharpest: float = min(finer, key=lambda f: finer[f])
     return round(sharpest, 2)
 
@@ -77,7 +77,7 @@ def _quiet(r: Recording) -> bool:
     return all(bool(np.all(np.median(np.abs(np.diff(x, 4, axis=0)), axis=0) <= QUIET * np.ptp(x, axis=0))) for x in pieces)
 
 
-def _left(robot: Robot, pieces: Sequence[Recording], cutoff: float) -> float:
+def log_torque_error(robot: Robot, pieces: Sequence[Recording], cutoff: float) -> float:
     """Logarithm of the torque error in the mean over joints that move and pieces, each fitted by itself.
 
     What a few seconds ask for is little; over a minute what the model lacks hides what the filter does.
@@ -89,8 +89,9 @@ def _left(robot: Robot, pieces: Sequence[Recording], cutoff: float) -> float:
             G = joint_reduced(data.moving[:, j].sum(axis=0), lags)
             k = len(data.layout.index(int(j)))
             G = G[np.ix_([*range(k), -1], [*range(k), -1])]
-            scale = 1 / np.sqrt(np.maximum(np.diag(G)[:-1], 1e-300))
+            rows = float(data.rows_moving[:, j].sum())
+            scale = to_unit_length(np.diag(G)[:-1], rows)
             A, b = scale[:, None] * G[:-1, :-1] * scale, scale * G[:-1, -1]
             theta = scale * np.linalg.lstsq(A, b, rcond=RELATIVE)[0]
-            out.append(0.5 * np.log(max(residual(G, theta), 1e-300) / data.rows_moving[:, j].sum()))
+            out.append(0.5 * np.log(max(residual(G, theta), 1e-300) / rows))
     return float(np.mean(out)) if out else 0.0
