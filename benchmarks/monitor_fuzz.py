@@ -1,7 +1,8 @@
-"""Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seconds S] [--seed S] [--json FILE]``.
+"""Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seconds S] [--seed S] [--json FILE] [--kept FILE]``.
 
 Each input is a good one with bytes changed, cut, doubled, spliced, or numbers and brackets put where they hurt. A parser may
-take it or refuse it with an error of stopset's own; anything else is printed with the input that did it.
+take it or refuse it with an error of stopset's own; anything else is printed with the input that did it. With ``--kept`` every run adds
+to what FILE holds, with other inputs, until each parser, those of files too, has had ``--inputs``.
 """
 
 from __future__ import annotations
@@ -422,7 +423,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", help="one parser")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--kept", type=Path)
     args = parser.parse_args()
+    kept: dict[str, dict[str, int]] = json.loads(args.kept.read_text()) if args.kept and args.kept.exists() else {}
     logging.disable()  # the libraries' own words on every damaged line
     found: dict[str, dict[str, int]] = {}
     with tempfile.TemporaryDirectory() as place:
@@ -431,9 +434,13 @@ def main() -> int:
         for name, parse in parsers(folder).items():
             if args.only and args.only != name:
                 continue
-            begin = time.process_time()
-            n = args.inputs if name in IN_MEMORY else max(1, args.inputs // 100)
-            found[name] = dict(fuzz(name, parse, seeds[name], n, args.seed, args.seconds))
+            begin, before = time.process_time(), Counter(kept.get(name, {}))
+            n = args.inputs if name in IN_MEMORY or args.kept else max(1, args.inputs // 100)
+            # what a parser has had so far begins another run of chance
+            new = fuzz(name, parse, seeds[name], n - before.total(), args.seed + before.total(), args.seconds)
+            found[name] = kept[name] = dict(before + new)
+            if args.kept:
+                args.kept.write_text(json.dumps(kept))
             print(
                 f"{name:<19} {sum(found[name].values()):8} inputs in {time.process_time() - begin:6.1f} s CPU: {found[name]}",
                 flush=True,

@@ -21,7 +21,7 @@ from stopset.monitor import plc, status
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import ConfigError, load_config
 from stopset.monitor.evidence.cause import Cause, Kind
-from stopset.monitor.journal import Journal, blank
+from stopset.monitor.journal import FileStore, Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward_all, unpack
 from stopset.monitor.packer import Packer
@@ -294,6 +294,41 @@ class Disk:
 
     def close(self) -> None:
         pass
+
+
+def test_a_journal_that_is_taken_away_is_no_first_start(tmp_path: Path) -> None:
+    path = tmp_path / "arm.latch"
+
+    def start() -> Latch:
+        return Latch(Journal(FileStore(path, Record())))
+
+    first = start()
+    assert not first.latched
+    first.close()
+    again = start()
+    assert not again.latched, "as it was left"
+    again.close()
+    for _ in range(2):  # and a start that finds it so does not make it good
+        path.unlink()
+        latch = start()
+        assert latch.latched and "taken away" in latch.record.why
+        latch.close()
+    latch = start()
+    assert latch.latched
+    latch.reset("A. Person", "seen to", 0.0)
+    latch.close()
+    latch = start()
+    assert not latch.latched
+    latch.close()
+    (begun,) = set(tmp_path.iterdir()) - {path}
+    begun.unlink()  # as of an earlier version, or of a start that ended in between
+    latch = start()
+    assert not latch.latched and begun.exists()
+    latch.close()
+    path.write_bytes(bytes(path.stat().st_size))  # a start that ended before it had said so
+    latch = start()
+    assert latch.latched
+    latch.close()
 
 
 def test_a_torn_journal_never_forgets() -> None:

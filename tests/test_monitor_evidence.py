@@ -363,7 +363,10 @@ def test_a_violation_is_one_file_with_what_was_before_and_after(tmp_path: Path) 
     assert any(outside), "the tube in the file is the one that was left"
     assert min(v for v in seen["stopset/verdict"][at]["room_dq"] + seen["stopset/verdict"][at]["room_q"]) < 0.0
     (cause,) = seen["stopset/cause"]
-    assert cause["kind"] == "missing_effect" and seen["stopset/log"][0]["level"] == 4
+    (said,) = seen["stopset/log"]
+    # as foxglove.Log is defined: all of these, level 4 = ERROR
+    assert cause["kind"] == "missing_effect" and said["level"] == 4
+    assert set(said) == {"timestamp", "level", "message", "name", "file", "line"} and set(said["timestamp"]) == {"sec", "nsec"}
     assert len(seen["stopset/can"]) > len(states), "and what the bus said meanwhile"
     with path.open("rb") as f:
         (about,) = [m for m in make_reader(f).iter_metadata() if m.name == "stopset"]
@@ -387,6 +390,22 @@ def test_the_curves_stand_there_as_ros_messages_too(tmp_path: Path) -> None:
             for x, column in zip((d.position, d.velocity, d.effort), columns, strict=False):
                 assert list(x) == ([] if None in row[column] else row[column])
     assert any(x is None for row in states for x in row["effort"])
+
+
+def test_another_reader_understands_the_ros_messages_by_the_schema_beside_them(tmp_path: Path) -> None:
+    ros = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
+    path = Path(record(tmp_path / "record", known_model(), Records(before_s=0.5), altered()).answers[0].file)
+    states, drawn = topics(path)["stopset/joint_states"], list[Any]()
+    with path.open("rb") as f:
+        reader = make_reader(f, decoder_factories=[ros.DecoderFactory()])
+        for schema, _, _, message in reader.iter_decoded_messages(["stopset/ros/joint_states"]):
+            assert schema is not None and schema.name == "sensor_msgs/msg/JointState"
+            drawn.append(message)
+    assert len(drawn) == len(states) > 100
+    for d, row in zip(drawn, states, strict=True):
+        assert [d.header.stamp.sec, d.header.stamp.nanosec] == [row["timestamp"]["sec"], row["timestamp"]["nsec"]]
+        assert d.name == row["name"]
+        assert [list(d.position), list(d.velocity), list(d.effort)] == [row["position"], row["velocity"], row["effort"]]
 
 
 def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

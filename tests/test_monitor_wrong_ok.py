@@ -146,6 +146,9 @@ def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell)
         journal.write_bytes(torn)
         twin, flagged = heard("")
         assert flagged == {True} and "journal" in twin["violation_why"]
+    journal.unlink()  # who would clear it so is no operator
+    twin, flagged = heard("")
+    assert flagged == {True} and "taken away" in twin["violation_why"]
     heard("reset")
     twin, flagged = heard("")
     assert not twin["violation_latched"] and flagged == {False}

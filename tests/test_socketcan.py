@@ -84,8 +84,8 @@ def test_all_that_waits_is_taken_as_python_can_takes_it(wire: Wire, rounds: int)
                 mine += [(*x, f.t) for x, f in zip(heard(batch), batch.frames[0 : batch.count], strict=True)]
     for identifier, data, t in mine:
         m = capture_message(wire.socket)
-        assert (m.arbitration_id, bytes(m.data)) == (identifier, data) and 0.0 < m.timestamp - t < 5.0
-        assert abs(time.time() - t) < 5.0
+        assert (m.arbitration_id, bytes(m.data)) == (identifier, data) and 0.0 < m.timestamp - t < 60.0
+        assert abs(time.time() - t) < 60.0
     assert len(mine) == rounds * (5 if rounds < 100 else 1)
 
 
@@ -95,7 +95,7 @@ def test_the_first_frame_is_waited_for_so_long_and_no_longer(wire: Wire) -> None
     listener.fill(batch, 0.05)
     assert batch.count == 0 and time.monotonic() - begin >= 0.049
     wire.send(0x181, b"\x07")
-    assert listener.recv(5.0) == Frame(0x181, b"\x07", pytest.approx(time.time(), abs=5.0)) and listener.recv(0.0) is None
+    assert listener.recv(60.0) == Frame(0x181, b"\x07", pytest.approx(time.time(), abs=60.0)) and listener.recv(0.0) is None
 
 
 def test_what_is_no_classic_frame_is_left_out_and_an_error_frame_is_said(wire: Wire) -> None:
@@ -103,13 +103,13 @@ def test_what_is_no_classic_frame_is_left_out_and_an_error_frame_is_said(wire: W
     for identifier in (0x181, 0x181 | EXTENDED, 0x182 | REMOTE, 0x183):
         wire.send(identifier, b"\x01")
     wire._out.send(b"short")
-    listener.fill(batch, 1.0)
+    listener.fill(batch, 60.0)
     assert [i for i, _ in heard(batch)] == [0x181, 0x183]
     wire.send(0x020 | ERROR, b"\x01")
     with pytest.raises(BusError, match="error frame on the bus"):
-        listener.fill(batch, 1.0)
+        listener.fill(batch, 60.0)
     wire.send(0x184, b"\x02")
-    listener.fill(batch, 1.0)
+    listener.fill(batch, 60.0)
     assert heard(batch) == [(0x184, b"\x02")], "and it goes on"
 
 
@@ -117,10 +117,10 @@ def test_a_frame_without_a_time_is_as_old_as_can_be(wire: Wire) -> None:
     """Mutant: with the stamp of who came before in its place."""
     listener, batch = SocketCanListener(wire), Batch()
     wire.send(0x181, b"\x01")
-    listener.fill(batch, 1.0)
+    listener.fill(batch, 60.0)
     wire.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 0)
     wire.send(0x181, b"\x02")
-    listener.fill(batch, 1.0)
+    listener.fill(batch, 60.0)
     assert math.isnan(batch.frames[0].t)
 
 
@@ -132,7 +132,7 @@ def test_what_found_no_room_is_counted(wire: Wire) -> None:
         taken += batch.count
     assert taken < 20_000 and listener.lost == 0
     wire.send(0x182, b"\x02")  # the system says it with the next frame that does
-    listener.fill(batch, 1.0)
+    listener.fill(batch, 60.0)
     assert heard(batch) == [(0x182, b"\x02")] and listener.lost == 20_000 - taken
     assert CanSource(listener, load_profile("lwa4p/monitor"), DT).counters()["lost_frames"] == listener.lost
 
@@ -144,27 +144,39 @@ def test_a_bus_that_is_gone_is_one_sentence(wire: Wire) -> None:
         listener.fill(Batch(), 0.0)
 
 
+class Standing:
+    """A clock whose time of day stands at ``at`` [s]: how fast the machine is decides nothing."""
+
+    monotonic, sleep = staticmethod(time.monotonic), staticmethod(time.sleep)
+
+    def __init__(self, at: float) -> None:
+        self.at = at
+
+    def time_ns(self) -> int:
+        return round(self.at * 1e9)
+
+
 def test_a_backlog_is_dropped_the_oldest_first_and_never_worked_off(wire: Wire) -> None:
-    """The daemon stood still for longer than data are good for: what waits is of before, and the newest cycle is what it sees."""
+    """The daemon stood still for longer than data are good for: what waits is of before, and the first sample it gives out is not."""
     profile, valid = load_profile("lwa4p/monitor"), 0.03
     encoder, rows = Encoder(profile), signal_rows(motion(0, 60))
-    source = CanSource(SocketCanListener(wire), profile, DT, valid)
+    listener = SocketCanListener(wire)
 
-    def cycle(k: int) -> None:
-        for identifier, data in encoder.frames(rows[k]):
-            wire.send(identifier, data)
+    def cycles(first: int, last: int) -> None:
+        for k in range(first, last):
+            for identifier, data in encoder.frames(rows[k]):
+                wire.send(identifier, data)
+            time.sleep(0.001)
 
-    for k in range(11):
-        cycle(k)
-        time.sleep(0.002)
-    time.sleep(0.2)
-    for k in range(11, 14):
-        cycle(k)
-        time.sleep(0.002)
-    sample = source.next(1.0)
-    assert sample is not None and time.time() - sample.t < 0.1, "none of before the pause"
+    cycles(0, 11)
+    time.sleep(2 * valid)
+    now = time.time()
+    cycles(11, 14)
+    # a cycle of a second: that a busy machine sends one slowly spoils none of them
+    source = CanSource(listener, profile, 1.0, valid, clock=Standing(now))
+    sample = source.next(10.0)
+    assert sample is not None and np.allclose(sample.q, rows[11][0], atol=1e-3), "the first that is not too old"
     assert source.dropped == source.counters()["dropped"] == 11, "all of before it, counted"
-    assert np.allclose(sample.q, rows[11][0], atol=1e-3)
 
 
 def test_a_bus_of_that_name_is_taken_from_so(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,6 +67,15 @@ def test_the_last_time_tells_how_long_the_next_takes(capsys: pytest.CaptureFixtu
         progress("a broken memory is none")
 
 
+def test_a_step_that_begins_anew_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    with steps.steps("odd") as progress:
+        for _ in range(9):
+            progress("fitting")
+        progress("sets")
+        progress("fitting")
+    assert stamps(capsys.readouterr().err) == ["fitting", "sets", "fitting"]
+
+
 def test_what_is_left_is_said_only_of_what_has_begun() -> None:
     assert left(10.0, 0.25) == 30.0 and left(10.0, None) is None and left(0.1, 0.5) is None and left(10.0, 0.001) is None
 

@@ -218,7 +218,7 @@ def _updated(args: argparse.Namespace, progress: Progress) -> Identification:
 
 
 def summary(found: Identification) -> str:
-    """The printout: sets per joint, the variants beside them, what fixes the bounds, notes, the guarantee."""
+    """The printout: what is promised, sets per joint, the variants beside them, what fixes the bounds, notes."""
     from stopset.offline.conform.bands import narrower
     from stopset.offline.conform.linear_sets import BOX
     from stopset.offline.conform.tightness import table
@@ -229,6 +229,7 @@ def summary(found: Identification) -> str:
     lines = [
         f"{m.robot.name}: model {m.abstraction.kind}, order {m.abstraction.order}, {found.survey.trials} trials of "
         f"{len(set(found.survey.motion.values()))} independent motions, step {s.dt * 1e3:g} ms, horizon {s.horizon:.2f} s",
+        m.guarantee.text,
         "",
     ]
     lines.append(f"{'joint':<22}{'U [N m]':>20}{'X0 q [rad]':>22}{'X0 dq [rad/s]':>20}{'q rmse':>9}{'dq rmse':>9}")
@@ -253,7 +254,7 @@ def summary(found: Identification) -> str:
         f"  {a.bound:<28} {a.recording}, from {a.start_s:.3f} s, age {a.age_s:.3f} s, {a.state}"
         for a in s.active if a.bound.startswith("U")
     ]  # fmt: skip
-    lines += ["", *(f"note: {x}" for x in m.notes), "", m.guarantee.text]
+    lines += ["", *(f"note: {x}" for x in m.notes)]
     return "\n".join(lines)
 
 

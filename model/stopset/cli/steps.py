@@ -38,8 +38,10 @@ class Steps:
         self._thread.start()
 
     def report(self, text: str, share: float | None = None) -> None:
-        """A step; one without a share is a line of its own."""
+        """A step; one without a share is a line of its own, once while it is the same."""
         with self._lock:
+            if share is None and (text, share) == (self._text, self._share):
+                return
             if share is None or self._share is None or share < self._share:
                 self._begun, self._tenth = time.monotonic(), 0
             self._text, self._share = text, share

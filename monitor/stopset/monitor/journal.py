@@ -2,7 +2,8 @@
 
 The file has two slots of fixed size, written in turn: a write that power loss tears leaves the other slot whole. A slot
 carries a running number and a digest. The file is born complete, so whatever is not two whole slots is damage, and damage is
-`Unreadable`: the reader of it must assume the worst.
+`Unreadable`: the reader of it must assume the worst. So is a file that is gone from where one was begun: a small one beside it, hidden,
+remembers that. A folder that is gone with both is a first start.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ SLOT = 16384
 _HEAD = struct.Struct("<8sQI")  # mark, number, length of the record
 _MARK = b"STPSLTCH"
 _DIGEST = 16
+_GONE = bytes(2 * SLOT)  # of a journal that was begun and is not there any more
+_WORDS = (
+    b"A journal of stopset's monitor was begun beside this file. Where it is gone the monitor takes a violation for latched.\n"
+)
 
 
 class Store(Protocol):
@@ -73,6 +78,8 @@ class Journal:
         """The record written last; raises `Unreadable` for a damaged, foreign or torn journal."""
         try:
             data = self._store.read()
+            if data == _GONE:
+                raise Unreadable("the journal of the latch was taken away since it was begun")
             slots = [_read_slot(data[at : at + SLOT]) for at in (0, SLOT)] if len(data) == 2 * SLOT else [None]
         except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as e:
             raise Unreadable(f"the journal of the latch cannot be read ({e})") from e
@@ -102,15 +109,18 @@ class Journal:
 
 
 class FileStore:
-    """Two slots in a file, made if it is not there, locked against a second daemon. Raises `OutputError`.
+    """Two slots in a file, made at a first start, locked against a second daemon. Raises `OutputError`.
 
     A thread waits for the disk, so that the loop does not; ``trouble`` holds the disk's last complaint.
     """
 
     def __init__(self, path: Path, first: Any) -> None:
+        begun = path.with_name(f".{path.name}.begun")
         try:
             if not path.exists():
-                _make(path, blank(first))
+                _make(path, _GONE if begun.exists() else blank(first))
+            if not begun.exists():  # only now: a start that ends in between is a first one still
+                _make(begun, _WORDS)
             self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except OSError as e:
             raise OutputError(

@@ -14,7 +14,7 @@ from stopset.errors import OutputError
 from stopset.files import replacing
 from stopset.monitor.evidence.cause import Cause
 from stopset.monitor.evidence.dynamics import Dynamics
-from stopset.monitor.evidence.mcap_file import McapFile, stamp
+from stopset.monitor.evidence.mcap_file import ERROR, McapFile, logged, stamp
 from stopset.monitor.evidence.rows import messages, nanoseconds
 from stopset.monitor.evidence.trace import Window
 
@@ -99,7 +99,7 @@ def _write(file: McapFile, x: BundleContents, pause: Callable[[], None]) -> None
             pause()
     t = nanoseconds(incident.t)
     file.add("cause", t, cause.plain())
-    file.add("log", t, {"timestamp": stamp(t), "level": 4, "name": "stopset", "message": f"{cause.kind.value}: {cause.says}"})
+    file.add("log", t, logged(t, ERROR, "stopset", f"{cause.kind.value}: {cause.says}"))
     file.finish()
 
 

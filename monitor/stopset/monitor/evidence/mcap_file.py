@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from stopset.monitor.evidence.curves import NAME, SCHEMA, Curves
 
+WARNING, ERROR = 3, 4  # levels on ``log``
 CHUNK = 65536  # bytes that a loss of power can cost
 _STAMP = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 
@@ -65,8 +66,9 @@ TOPICS: dict[str, dict[str, Any]] = {
         t={"type": "number", "description": "onset [s]"}, torque_Nm=_row("push on every joint"), depends_on=_word("a signal"),
     ),
     "log": _object(  # a well-known schema of Foxglove's: shown in its log panel
-        "foxglove.Log", ("timestamp", "level", "message"), timestamp=_STAMP, level={"type": "integer"},
-        message=_word(""), name=_word(""),
+        "foxglove.Log", ("timestamp", "level", "message", "name", "file", "line"), timestamp=_STAMP,
+        level={"type": "integer", "enum": [0, 1, 2, 3, 4, 5]}, message=_word("what happened"), name=_word("who says it"),
+        file=_word("of a program's text"), line={"type": "integer", "minimum": 0, "description": "in that file"},
     ),
 }  # fmt: skip
 _encode = msgspec.json.Encoder(enc_hook=float).encode
@@ -107,6 +109,11 @@ class McapFile:
     def finish(self) -> None:
         """The index, and the mark that the file is whole."""
         self._writer.finish()  # type: ignore[no-untyped-call]
+
+
+def logged(t_ns: int, level: int, name: str, message: str) -> dict[str, Any]:
+    """A message on ``log``, whole as the schema's owner asks for it: no program's text is behind it."""
+    return {"timestamp": stamp(t_ns), "level": level, "name": name, "message": message, "file": "", "line": 0}
 
 
 def stamp(t_ns: int) -> dict[str, int]:

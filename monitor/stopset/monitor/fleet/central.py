@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from stopset.monitor.evidence.mcap_file import McapFile, stamp
+from stopset.monitor.evidence.mcap_file import WARNING, McapFile, logged
 from stopset.monitor.evidence.rotation import Rotation
 from stopset.monitor.fleet.fleet import LARGEST, MOST
 from stopset.monitor.viewer.words import plain
@@ -128,8 +128,8 @@ class Central:
         def write(file: McapFile) -> None:
             if lost > self._said:
                 t = taken[0][0]
-                said = {"timestamp": stamp(t), "level": 3, "message": f"{lost - self._said} messages before this one are missing"}
-                file.add("log", t, said)
+                said = f"{lost - self._said} messages before this one are missing"
+                file.add("log", t, logged(t, WARNING, "stopset fleet", said))
             for t, arm, topic, data in taken:
                 file.add(topic, t, data, prefix=arm)
 
