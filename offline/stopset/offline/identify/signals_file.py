@@ -95,7 +95,7 @@ def meta_of(m: Mapping[str, Any]) -> Meta:
     return Meta(
         **dict(m) | {
             "joints": tuple(m["joints"]), "warnings": tuple(m["warnings"]), "sources": tuple((a, b) for a, b in m["sources"]),
-            "torque_constant": None if constant is None else tuple(constant),
+            "torque_constant": None if constant is None else tuple(constant), "said": tuple(m.get("said", ())),
         }
     )  # fmt: skip
 
