@@ -1,32 +1,10 @@
 /* Calls an FMI 3 unit in any order with any values, linked with its sources and the sanitizers.
  *
- * Usage: fuzz TOKEN FIRST_SEED COUNT N_REAL N_INT N_BOOL VR_Q_LO VR_Q_HI JOINTS VR_STOP_FIRST VR_STOP_LAST VR_COVERED VR_CERTIFIED VR_MEASURED N_ARRAYS
- * Says "ok" and how often which promise was looked at, or what was broken: every error has a sentence, a true `covered` has bounds
- * in order, a true `stop_certified` has numbers of at least zero.
+ * Usage: fuzz TOKEN FIRST_SEED COUNT
+ * Says "ok" and how often which promise was looked at, or what was broken: every error has a sentence, see fmu_fuzz.h for the others.
  */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "fmi3Functions.h"
-
-static char last[600];
-static uint64_t state;
-
-static uint64_t draw(void) { /* splitmix64 */
-    uint64_t z = (state += 0x9e3779b97f4a7c15u);
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    return z ^ (z >> 31);
-}
-static unsigned below(unsigned n) { return (unsigned)(draw() % n); }
-static double number(void) {
-    static const double wild[] = {0.0, -0.0, 1.0, -1.0, 1e-320, 1e-9, 3.0, 1e6, 1e9, 1e17, 1e308, -1e308, INFINITY, -INFINITY, NAN};
-    if (!below(4)) return wild[below(sizeof wild / sizeof *wild)];
-    return ((double)(draw() >> 11) / 9007199254740992.0 - 0.5) * (below(3) ? 1.0 : 10.0);
-}
+#include "fmu_fuzz.h"
 
 static void write_log(fmi3InstanceEnvironment env, fmi3Status status, fmi3String category, fmi3String message) {
     (void)env, (void)status, (void)category;
@@ -34,13 +12,12 @@ static void write_log(fmi3InstanceEnvironment env, fmi3Status status, fmi3String
 }
 
 static fmi3Instance running;
-static unsigned reals;
 
 /* Within a step everything may be read and nothing set; sometimes the step shall end here, later, or at no time at all. */
 static void within(fmi3InstanceEnvironment env, fmi3Float64 t, fmi3Boolean set, fmi3Boolean get, fmi3Boolean finished, fmi3Boolean may_end,
                    fmi3Boolean *end, fmi3Float64 *until) {
     (void)env, (void)set, (void)get, (void)finished;
-    unsigned vr = below(reals);
+    unsigned vr = below(N_REAL);
     double x, at;
     fmi3FMUState saved = 0;
     const unsigned time = 0;
@@ -55,18 +32,13 @@ static void within(fmi3InstanceEnvironment env, fmi3Float64 t, fmi3Boolean set, 
     (void)may_end;
 }
 
-static long errors, covered_seen, certified_seen;
-#define BROKEN(...) return printf(__VA_ARGS__), printf(" (seed %ld, call %d, last message: %s)\n", seed, call, last), 1
-
 int main(int argc, char **argv) {
-    if (argc < 16) return 2;
+    if (argc != 4) return 2;
     const char *token = argv[1];
-    long first = atol(argv[2]), count = atol(argv[3]);
-    unsigned v[11];
-    for (int k = 0; k < 11; k++) v[k] = (unsigned)atoi(argv[4 + k]);
-    const unsigned n_arrays = (unsigned)atoi(argv[15]), n_real = v[0], n_all = v[0] + v[1] + v[2], q_lo = v[3], q_hi = v[4], n = v[5], stop_first = v[6], stop_last = v[7];
-    double *x = calloc(n_all + 8, sizeof *x), *y = calloc(n_all + 8, sizeof *y);
-    unsigned *vr = calloc(n_all + 8, sizeof *vr);
+    const long first = atol(argv[2]), count = atol(argv[3]);
+    double x[N_ALL + 8], y[N_ALL + 8];
+    unsigned vr[N_ALL + 8], all[N_REAL], measured_of = VR_MEASURED, flags_of[2] = {VR_COVERED, VR_CERTIFIED};
+    for (unsigned k = 0; k < N_REAL; k++) all[k] = k;
     for (long seed = first; seed < first + count; seed++) {
         state = (uint64_t)seed;
         int call = 0;
@@ -78,12 +50,11 @@ int main(int argc, char **argv) {
         fmi3FMUState saved = 0;
         double t = 0.0;
         running = c;
-        reals = n_real;
         if (c && below(10)) { /* mostly a run that begins as it should */
             const fmi3Boolean measured = below(3) != 0; /* a model of motor torque is covered only then */
-            fmi3SetBoolean(c, &v[10], 1, &measured, 1);
+            fmi3SetBoolean(c, &measured_of, 1, &measured, 1);
             for (unsigned k = below(4); k; k--) {
-                vr[0] = below(n_real + 1);
+                vr[0] = below(N_REAL + 1);
                 x[0] = number();
                 fmi3SetFloat64(c, vr, 1, x, 1);
             }
@@ -106,18 +77,18 @@ int main(int argc, char **argv) {
             case 3:
             case 4:
                 for (unsigned k = 0; k < many; k++) {
-                    vr[k] = below(n_real + 2);
+                    vr[k] = below(N_REAL + 2);
                     x[k] = number();
                 }
                 got = fmi3SetFloat64(c, vr, many, x, below(20) ? many : many + 1);
                 break;
             case 5:
-                vr[0] = below(n_all + 2);
+                vr[0] = below(N_ALL + 2);
                 got = fmi3SetInt32(c, vr, 1, &i, 1);
                 break;
             case 6:
             case 7:
-                vr[0] = below(n_all + 2);
+                vr[0] = below(N_ALL + 2);
                 a = below(2) != 0;
                 got = fmi3SetBoolean(c, vr, 1, &a, 1);
                 break;
@@ -150,31 +121,31 @@ int main(int argc, char **argv) {
                 break;
             case 16:
                 for (unsigned k = 0; k < 2; k++) {
-                    vr[k] = below(n_all + 2);
-                    vr[4 + k] = below(n_all + 2);
+                    vr[k] = below(N_ALL + 2);
+                    vr[4 + k] = below(N_ALL + 2);
                     x[k] = number();
                 }
                 got = fmi3GetDirectionalDerivative(c, vr, 2, vr + 4, 2, x, 2, y, 2);
                 break;
             case 17: got = fmi3SetTime(c, number()); break;
             case 18:
-                if (fmi3GetNumberOfContinuousStates(c, &size) != fmi3OK || size > n_all) break;
+                if (fmi3GetNumberOfContinuousStates(c, &size) != fmi3OK || size > N_ALL) break;
                 for (size_t k = 0; k < size; k++) x[k] = number();
                 got = below(2) ? fmi3SetContinuousStates(c, x, size) : fmi3GetContinuousStateDerivatives(c, y, size);
                 break;
             case 19:
-                if (fmi3GetNumberOfEventIndicators(c, &size) == fmi3OK && size <= n_all) got = fmi3GetEventIndicators(c, y, size);
+                if (fmi3GetNumberOfEventIndicators(c, &size) == fmi3OK && size <= N_ALL) got = fmi3GetEventIndicators(c, y, size);
                 break;
             case 20: got = fmi3UpdateDiscreteStates(c, &a, &b, &d, &e, &f, y); break;
             case 21: got = below(2) ? fmi3EnterEventMode(c) : fmi3EnterContinuousTimeMode(c); break;
             case 24: /* arrays come behind the scalars, clocks behind them */
-                vr[0] = below(n_real);
-                vr[1] = n_all + below(n_arrays);
-                for (unsigned k = 0; k < 1 + n; k++) x[k] = number();
-                got = below(2) ? fmi3SetFloat64(c, vr, 2, x, below(9) ? 1 + n : 2) : fmi3GetFloat64(c, vr, 2, y, 1 + n);
+                vr[0] = below(N_REAL);
+                vr[1] = N_ALL + below(N_ARRAYS);
+                for (unsigned k = 0; k < 1 + NJ; k++) x[k] = number();
+                got = below(2) ? fmi3SetFloat64(c, vr, 2, x, below(9) ? 1 + NJ : 2) : fmi3GetFloat64(c, vr, 2, y, 1 + NJ);
                 break;
             case 25:
-                vr[0] = n_all + n_arrays + below(4);
+                vr[0] = N_ALL + N_ARRAYS + below(4);
                 a = below(3) != 0;
                 got = below(4) ? fmi3SetClock(c, vr, 1, &a) : fmi3GetClock(c, vr, 1, &b);
                 break;
@@ -187,29 +158,19 @@ int main(int argc, char **argv) {
             if (got != fmi3OK && c && !last[0]) BROKEN("an error without a sentence");
             errors += got != fmi3OK;
             if (!c) continue;
-            if (fmi3GetBoolean(c, &v[8], 1, flags, 1) == fmi3OK && flags[0]) {
-                for (unsigned k = 0; k < n; k++) {
-                    vr[0] = q_lo + k;
-                    vr[1] = q_hi + k;
-                    if (fmi3GetFloat64(c, vr, 2, x, 2) != fmi3OK || !(x[0] <= x[1]) || !isfinite(x[0]) || !isfinite(x[1]))
-                        BROKEN("covered, and joint %u between %g and %g", k, x[0], x[1]);
-                }
-                covered_seen++;
-            }
-            if (fmi3GetBoolean(c, &v[9], 1, flags + 1, 1) == fmi3OK) {
-                const unsigned m = stop_last - stop_first + 1;
-                for (unsigned k = 0; k < m; k++) vr[k] = stop_first + k;
-                if (fmi3GetFloat64(c, vr, m, x, m) != fmi3OK) continue;
-                for (unsigned k = 0; k < m; k++)
-                    if (flags[1] ? !(isfinite(x[k]) && x[k] >= 0.0) : !isnan(x[k])) BROKEN("certified %d, and stop output %u is %g", flags[1], k, x[k]);
-                certified_seen += flags[1];
-            }
+            fmi3Boolean measured;
+            if (fmi3GetBoolean(c, flags_of, 2, flags, 2) != fmi3OK || fmi3GetBoolean(c, &measured_of, 1, &measured, 1) != fmi3OK) continue;
+            if (fmi3GetFloat64(c, all, N_REAL, x, N_REAL) != fmi3OK) continue;
+            const char *wrong = flags[0] ? beyond(x, measured) : 0;
+            if (!wrong) wrong = untrue(x, flags[1]);
+            if (wrong) BROKEN("covered %d, certified %d, and %s", flags[0], flags[1], wrong);
+            covered_seen += flags[0];
+            certified_seen += flags[1];
         }
         if (c && saved) fmi3FreeFMUState(c, &saved);
         free(saved);
         fmi3FreeInstance(c);
     }
-    free(x), free(y), free(vr);
     printf("ok %ld errors, %ld times covered, %ld times certified\n", errors, covered_seen, certified_seen);
     return 0;
 }

@@ -13,7 +13,6 @@ import pytest
 
 from stopset.artifact import Model
 from stopset.fmu import Contents, archive
-from stopset.fmu.variables import KINDS, variables
 from stopset.offline.abstraction import build
 from test_fmu import EFFECTS, friction
 from test_fmu_stops import braked, braking
@@ -36,36 +35,33 @@ CALLS = 100  # runs of 60 calls each
 CALLS_SLOW = 12  # under valgrind, which takes some forty times as long
 
 
-def fuzzer(folder: Path, model: Model, *options: str) -> list[str]:
+SOURCE = {2: "fmu_fuzz2.c", 3: "fmu_fuzz.c"}
+
+
+def fuzzer(folder: Path, model: Model, fmi: int, *options: str) -> list[str]:
     """The command of the unit's own sources with calls in any order, but for seed and number of runs behind the token."""
     gcc = shutil.which("gcc")
     if gcc is None:
         pytest.skip("gcc is not installed")
     pytest.importorskip("fmpy")
-    (folder / "u.fmu").write_bytes(archive(model, Contents(3, source_only=True, reference=False)))
+    (folder / "u.fmu").write_bytes(archive(model, Contents(fmi, source_only=True, reference=False)))
     with zipfile.ZipFile(folder / "u.fmu") as z:
         z.extractall(folder)
-    token = (folder / "modelDescription.xml").read_text().split('instantiationToken="')[1].split('"')[0]
+    named = "guid" if fmi == 2 else "instantiationToken"
+    token = (folder / "modelDescription.xml").read_text().split(f'{named}="')[1].split('"')[0]
     units = sorted(str(p) for p in (folder / "sources").rglob("*.c"))
     command = [gcc, "-std=c11", "-O1", "-g", "-ffp-contract=off", *options, "-I", str(folder / "sources")]
-    source = str(Path(__file__).with_name("fmu_fuzz.c"))
+    source = str(Path(__file__).with_name(SOURCE[fmi]))
     subprocess.run([*command, source, *units, "-lm", "-o", str(folder / "fuzz")], check=True, timeout=600)
     return [str(folder / "fuzz"), token]
 
 
-def places(model: Model) -> list[str]:
-    """Which variables the promises are about."""
-    v = variables(model)
-    out = [*(len(v.of(kind)) for kind in KINDS), *(v.reference(f"{stem}_axis_1") for stem in ("q_lo", "q_hi")), model.n]
-    out += [v.reference(k) for k in ("stop_time_axis_1", "tcp_stop_speed", "covered", "stop_certified", "measured")]
-    return [str(x) for x in (*out, len(v.arrays))]
-
-
+@pytest.mark.parametrize("fmi", SOURCE)
 @pytest.mark.parametrize("name", MODELS)
-def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str) -> None:
+def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, fmi: int) -> None:
     """Under the address and undefined-behaviour sanitizers; that of leaks comes with the first."""
     sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
-    command = [*fuzzer(tmp_path, MODELS[name], *sanitize), "1", str(CALLS), *places(MODELS[name])]
+    command = [*fuzzer(tmp_path, MODELS[name], fmi, *sanitize), "1", str(CALLS)]
     leaks = {**os.environ, "ASAN_OPTIONS": "detect_leaks=1"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, env=leaks)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
@@ -76,13 +72,14 @@ def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("fmi", SOURCE)
 @pytest.mark.parametrize("name", MODELS)
-def test_valgrind_finds_nothing_and_nothing_is_lost(tmp_path: Path, name: str) -> None:
+def test_valgrind_finds_nothing_and_nothing_is_lost(tmp_path: Path, name: str, fmi: int) -> None:
     """What no sanitizer sees: numbers that were never set, where they decide."""
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         pytest.skip("valgrind is not installed")
     command = [valgrind, "-q", "--error-exitcode=9", "--leak-check=full", "--show-leak-kinds=all", "--errors-for-leak-kinds=all"]
-    command += [*fuzzer(tmp_path, MODELS[name]), "1", str(CALLS_SLOW), *places(MODELS[name])]
+    command += [*fuzzer(tmp_path, MODELS[name], fmi), "1", str(CALLS_SLOW)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
     assert done.returncode == 0 and done.stdout.startswith("ok"), done.stdout[-2000:] + done.stderr[-4000:]

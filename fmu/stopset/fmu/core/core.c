@@ -20,6 +20,7 @@ static int as_identified(const StopsetState *s) {
         if (s->r[VR_PAYLOAD_MASS] != 0.0 && s->r[VR_PAYLOAD_COM + r] != m->start_real[VR_PAYLOAD_COM + r]) return 0;
     for (int i = 0; i < NJ && m->has_domain_temp; i++)
         if (!(s->r[VR_TEMP_LO + i] >= m->lo[3 * NJ + i] && s->r[VR_TEMP_HI + i] <= m->hi[3 * NJ + i])) return 0;
+    if (!(s->r[VR_WARM] >= 0.0 && s->r[VR_WARM] <= 1.0)) return 0;
     if (!(s->r[VR_PAYLOAD_LO] >= m->payload_lo && s->r[VR_PAYLOAD_HI] <= m->payload_hi)) return 0;
     return s->r[VR_PAYLOAD_MASS] >= s->r[VR_PAYLOAD_LO] && s->r[VR_PAYLOAD_MASS] <= s->r[VR_PAYLOAD_HI];
 }
@@ -31,9 +32,10 @@ const char *stopset_no_range(const StopsetState *s) {
     return 0;
 }
 
-void stopset_ranges(StopsetState *s) {
+void stopset_retune(StopsetState *s) {
     s->as_identified = (uint8_t)as_identified(s);
     memset(s->certificate, 0, sizeof s->certificate);
+    for (int i = 0; i < NX; i++) s->stop_lo[i] = s->stop_hi[i] = (double)NAN; /* nor of a stop that runs */
 }
 
 const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
@@ -67,10 +69,8 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
 }
 
 void stopset_reload(StopsetState *s) {
-    s->as_identified = (uint8_t)as_identified(s);
     s->reloaded = 1;
     s->h_try = 0.0;
-    memset(s->certificate, 0, sizeof s->certificate);
     stopset_forget(s);
 }
 

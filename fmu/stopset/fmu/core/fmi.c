@@ -161,25 +161,30 @@ static Level may_set(Instance *c, unsigned vr) {
     return stopset_fail(c, "set", what);
 }
 
-static int of_range(unsigned vr) {
-    return vr == VR_PAYLOAD_LO || vr == VR_PAYLOAD_HI || (stopset_model.has_domain_temp && vr >= VR_TEMP_LO && vr < VR_TEMP_HI + NJ);
+/* A parameter that may change in a run: what was proved before does not speak of it. */
+static Level set_in_a_run(Instance *c, unsigned vr, double value) {
+    StopsetState *s = &c->now.s;
+    const int another = s->r[vr] != value;
+    if (vr == VR_PAYLOAD_MASS && (!(value >= 0.0) || !stopset_finite(value)))
+        return stopset_fail(c, "set", "payload_mass is not a mass; set a finite number >= 0 [kg]");
+    if (!stopset_finite(value)) {
+        char what[160];
+        snprintf(what, sizeof what, "%s is not a finite number; set one", stopset_model.name[vr]);
+        return stopset_fail(c, "set", what);
+    }
+    s->r[vr] = value;
+    if (another && vr == VR_PAYLOAD_MASS) stopset_reload(s);
+    if (another) stopset_retune(s);
+    return LEVEL_OK;
 }
 
 Level stopset_set_real(Instance *c, const unsigned vr[], size_t n, const double value[]) {
     for (size_t k = 0; k < n; k++) {
         if (vr[k] >= N_REAL) return unknown(c, "set", vr[k], "floating-point");
         if (may_set(c, vr[k])) return LEVEL_ERROR;
-        if (vr[k] == VR_PAYLOAD_MASS && c->now.phase > PHASE_INITIALIZATION) {
-            if (!(value[k] >= 0.0) || !stopset_finite(value[k]))
-                return stopset_fail(c, "set", "payload_mass is not a mass; set a finite number >= 0 [kg]");
-            const int another = c->now.s.r[VR_PAYLOAD_MASS] != value[k];
-            c->now.s.r[VR_PAYLOAD_MASS] = value[k];
-            if (another) stopset_reload(&c->now.s);
-        }
-        if (of_range(vr[k])) {
-            if (!stopset_finite(value[k])) return stopset_fail(c, "set", "an end of a range is not a finite number; set one [kg, degC]");
-            c->now.s.r[vr[k]] = value[k];
-            stopset_ranges(&c->now.s);
+        if (stopset_model.kind[vr[k]] == KIND_TUNABLE && c->now.phase > PHASE_INITIALIZATION) {
+            if (set_in_a_run(c, vr[k], value[k])) return LEVEL_ERROR;
+            continue;
         }
         c->now.s.r[vr[k]] = value[k];
     }
@@ -339,7 +344,14 @@ Level stopset_deserialize(Instance *c, const unsigned char *bytes, size_t size, 
     return LEVEL_OK;
 }
 
+/* In co-simulation another time or state would be one that no bound was made for. */
+static Level in_exchange(Instance *c, const char *function, unsigned phases) {
+    if (c->co_simulation) return stopset_fail(c, function, "belongs to model exchange, and this is co-simulation; use doStep");
+    return stopset_expect(c, function, phases);
+}
+
 Level stopset_set_time(Instance *c, double t) {
+    if (in_exchange(c, "setTime", IN(PHASE_EVENT) | IN(PHASE_CONTINUOUS))) return LEVEL_ERROR;
     if (!stopset_finite(t)) return stopset_fail(c, "setTime", "the time is not a finite number; give one [s]");
     c->now.s.r[VR_TIME] = t;
     c->now.s.outputs_ready = 0;
@@ -354,7 +366,7 @@ static Level right_count(Instance *c, const char *function, size_t n) {
 }
 
 Level stopset_set_states(Instance *c, const double x[], size_t n) {
-    if (right_count(c, "setContinuousStates", n)) return LEVEL_ERROR;
+    if (in_exchange(c, "setContinuousStates", IN(PHASE_EVENT) | IN(PHASE_CONTINUOUS)) || right_count(c, "setContinuousStates", n)) return LEVEL_ERROR;
     for (int i = 0; i < NJ; i++) {
         c->now.s.r[VR_Q + i] = x[i];
         c->now.s.r[VR_DQ + i] = x[NJ + i];
@@ -391,11 +403,13 @@ Level stopset_get_indicators(Instance *c, double z[], size_t n) {
     return LEVEL_OK;
 }
 
-int stopset_completed_step(Instance *c) {
+Level stopset_completed_step(Instance *c, int *event) {
+    if (in_exchange(c, "completedIntegratorStep", IN(PHASE_CONTINUOUS))) return LEVEL_ERROR;
     int before = c->now.s.i[IX_VERDICT];
     stopset_count(&c->now.s);
     stopset_check(&c->now.s, c->work);
-    return c->now.s.i[IX_VERDICT] != before;
+    *event = c->now.s.i[IX_VERDICT] != before;
+    return LEVEL_OK;
 }
 
 Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next) {

@@ -177,9 +177,11 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetPrior, fmi2Boolean *enterEventMode, fmi2Boolean *terminate) {
     GIVEN(c);
     UNUSED(noSetPrior);
-    *enterEventMode = stopset_completed_step(c) ? fmi2True : fmi2False;
+    int event = 0;
+    const Level done = stopset_completed_step(c, &event);
+    *enterEventMode = event ? fmi2True : fmi2False;
     *terminate = fmi2False;
-    return fmi2OK;
+    return status(done);
 }
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     GIVEN(c);

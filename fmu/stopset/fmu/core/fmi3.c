@@ -367,9 +367,11 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) {
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean noSetPrior, fmi3Boolean *enterEventMode, fmi3Boolean *terminate) {
     GIVEN(c);
     UNUSED(noSetPrior);
-    *enterEventMode = stopset_completed_step(c) != 0;
+    int event = 0;
+    const Level done = stopset_completed_step(c, &event);
+    *enterEventMode = event ? fmi3True : fmi3False;
     *terminate = fmi3False;
-    return fmi3OK;
+    return status(done);
 }
 
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) {

@@ -22,7 +22,6 @@ static int believed(const StopsetState *s) {
     const StopsetModel *m = &stopset_model;
     const double *q = state_of(s, 0), *dq = state_of(s, 1);
     if (!m->has_brakes || !s->as_identified || s->violated || stopset_no_range(s)) return 0;
-    if (!(s->r[VR_WARM] >= 0.0 && s->r[VR_WARM] <= 1.0)) return 0;
     for (int i = 0; i < NJ; i++) {
         const double temp = s->r[VR_TEMP + i];
         if (!(q[i] >= m->stop_q_lo[i] && q[i] <= m->stop_q_hi[i] && dq[i] >= m->stop_dq_lo[i] && dq[i] <= m->stop_dq_hi[i])) return 0;
@@ -198,7 +197,7 @@ static int of_request(int category, int request) {
 
 void stopset_stop_bounds(StopsetState *s, StopsetWork *w, int category, int exact) {
     if (s->stopping) { /* the bounds are those of the request */
-        publish(s, category, of_request(category, s->stopping) && s->b[flag_of[category]]);
+        publish(s, category, of_request(category, s->stopping) && s->b[flag_of[category]] && s->certificate[category].proved);
         return;
     }
     /* another ramp than the identified one is another controller */

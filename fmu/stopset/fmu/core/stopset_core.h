@@ -174,10 +174,10 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0);
 const char *stopset_trigger(StopsetState *s, StopsetWork *w);
 /* Advance by h with the inputs held; returns 0 or a sentence. `done`: how far it came, less than h where work says so. */
 const char *stopset_step(StopsetState *s, StopsetWork *w, double h, double *done);
-/* Another payload within a run: what was predicted and proved before does not speak of it. */
+/* Another payload within a run: what was predicted before does not speak of it. */
 void stopset_reload(StopsetState *s);
-/* Other ranges of payload or temperature: what was proved before does not speak of them. A sentence where one of them is none. */
-void stopset_ranges(StopsetState *s);
+/* Another parameter within a run: what was proved before does not speak of it. A sentence where a range is none. */
+void stopset_retune(StopsetState *s);
 const char *stopset_no_range(const StopsetState *s);
 /* One more step since the certificates were made. */
 void stopset_count(StopsetState *s);

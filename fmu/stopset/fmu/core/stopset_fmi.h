@@ -67,7 +67,7 @@ Level stopset_get_states(Instance *c, double x[], size_t n);
 Level stopset_get_derivatives(Instance *c, double dx[], size_t n);
 enum { N_INDICATORS = HAS_INDICATORS ? NJ : 0 };
 Level stopset_get_indicators(Instance *c, double z[], size_t n);
-int stopset_completed_step(Instance *c); /* whether an event has to be handled */
+Level stopset_completed_step(Instance *c, int *event); /* `event`: whether one has to be handled */
 Level stopset_update_discrete(Instance *c, int *states_changed, int *next_defined, double *next);
 
 #define IN(phase) (1u << (phase))
