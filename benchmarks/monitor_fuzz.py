@@ -431,7 +431,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         seeds = good_inputs(folder)
-        for name, parse in parsers(folder).items():
+        # whoever has had least comes first: a run may be ended before its end
+        for name, parse in sorted(parsers(folder).items(), key=lambda item: sum(kept.get(item[0], {}).values())):
             if args.only and args.only != name:
                 continue
             begin, before = time.process_time(), Counter(kept.get(name, {}))
