@@ -56,6 +56,14 @@ def test_a_dress_pack_that_hardly_stiffens_is_a_spring_however_sure_the_rest_is(
     assert answer.ranked[0].parameters["k"].value == pytest.approx(float(truth["stiffness_Nm_per_rad"]), rel=0.1)
 
 
+def test_what_a_stiffening_dress_pack_leaves_is_too_little_to_contradict_the_spring() -> None:
+    """Its rest, a thousandth of what the spring takes away, was large beside the sensors' noise and the evidence saturated: unknown."""
+    answer, truth = found("spring", "turn", 1.5, 3)
+    assert answer.verdict == "missing" and [r.label for r in answer.ranked] == ["spring:turn"]
+    stiffness = float(truth["stiffness_Nm_per_rad"])  # at its centre; it is k (1 + 0.15 x^2) about there, and x reaches 1.6 rad
+    assert stiffness < answer.ranked[0].parameters["k"].value < 1.4 * stiffness
+
+
 def test_friction_by_the_square_of_the_load_is_no_friction_by_the_load() -> None:
     answer, truth = found("quadratic_load", "lift", 0.01, 4)
     assert answer.verdict == "missing" and [r.label for r in answer.ranked] == ["quadratic_load:lift"]
