@@ -1,4 +1,4 @@
-"""How fast stop bounds are: the online bound, the certifier, the first call; as ratios to plain numpy and to the simulation.
+"""How fast stop bounds are: a box for the monitor, a state, the first call; beside one simulated stop.
 
     python benchmarks/stops_speed.py
 
@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from stop_arms import prbt_like, ur5_like
 from stop_arms_wide import arms
 
-from stop_certificate import Certificate, certify
+from stop_certificate import certify
 from stop_sampling import DT
 from stop_tubes import tube_of
 from stopset.reach.stops import StopBounds
@@ -42,16 +42,6 @@ def median_us(f: Callable[[], object], count: int) -> float:
         f()
         spent.append(time.process_time_ns() - start)
     return float(np.median(spent)) / 1e3
-
-
-def plain_numpy(c: Certificate, dq: Array) -> tuple[Array, Array]:
-    """The same comparison for the upper curves alone, as array operations: cumulative sums and running minima."""
-    h = np.diff(c.tube.t)[:, None]
-    rate = np.where(np.isfinite(c.tube.forward_hi), c.tube.forward_hi, 0.0)
-    high = dq + c.start.hi[len(dq) :]
-    Z = np.vstack([high, high + h * np.cumsum(rate, axis=0)])
-    U = Z - np.minimum(0.0, np.minimum.accumulate(Z, axis=0))
-    return U, np.cumsum(0.5 * h * (U[1:] + U[:-1]), axis=0)
 
 
 def cold_ms(bounds: StopBounds, top: float, count: int) -> Array:
@@ -132,13 +122,13 @@ def main() -> None:
     lasts = expected_stop(s.plant, q, np.abs(dq))
     r, v = s.noise.radius[:6] + box[0], s.noise.radius[6:] + box[1]
     steps = len(certificate.tube.t) - 1
-    online = median_us(lambda: certificate.bound(q, dq), 2000)
+    core = CompiledStops.of(s)
+    monitored = median_us(lambda: core.bound(q, dq, "0", *box), 200)
     whole = median_us(lambda: bounds.bound(q, dq), 200)
     certifier = median_us(lambda: certify(bounds, q, dq, *box), 200)
     fine = median_us(
         lambda: march(s.plant, Box(q - r, q + r), Box(dq - v, dq + v), Stride(lasts / KNOTS.stop, 6 * KNOTS.stop), ALL_PARTS), 200
     )
-    numpy_ = median_us(lambda: plain_numpy(certificate, dq), 500)
     p, none = s.plant, np.zeros((1, 6))
     length = int(np.ceil(certificate.tube.t[-1] / DT))
     simulated = median_us(
@@ -152,17 +142,20 @@ def main() -> None:
         ),
         100,
     )
-    print(f"online bound, 6 joints x {steps} steps: {online:.0f} us ({online * 200 / steps:.0f} us per 200 steps)")
-    print(f"  plain numpy, upper curves alone: {numpy_:.0f} us, {numpy_ / online:.1f} times as long")
-    print(f"  one nonlinear simulation at {DT * 1e3:g} ms: {simulated:.0f} us, {simulated / online:.1f} times as long")
     print(
-        f"certifier on a box of +-{box[0][0]:g} rad, +-{box[1][0]:g} rad/s: {certifier / 1e3:.2f} ms ({steps} steps), "
+        f"box of the monitor, +-{box[0][0]:g} rad, +-{box[1][0]:g} rad/s, by the core with the tool's way: {monitored / 1e3:.2f} ms ({steps} steps)"
+    )
+    print(
+        f"  one nonlinear simulation at {DT * 1e3:g} ms: {simulated:.0f} us, so a box is worth {monitored / simulated:.1f} simulated stops"
+    )
+    print(
+        f"its tube alone, from Python: {certifier / 1e3:.2f} ms, "
         f"with the steps of tables {fine / 1e3:.2f} ms; angles {wider(bounds, 1.26, 100) - 1:.1%} wider"
     )
     print(f"whole bound with TCP and links: {whole / 1e3:.2f} ms")
     cold = cold_ms(bounds, 1.26, 200)
     print(
-        f"certifier without anything from an earlier cycle, 200 unrelated states: median {np.median(cold):.2f} ms, worst "
+        f"that tube for 200 unrelated states: median {np.median(cold):.2f} ms, worst "
         f"{cold.max():.2f} ms (it never uses an earlier cycle)"
     )
     strong = StopBounds.of(ur5_like(), (4.75, 5.0))
@@ -183,7 +176,7 @@ def main() -> None:
         f"whole bound where the kinetic energy has to help (UR5-like, a quarter of the rotors, 5 kg): median {np.median(hard):.0f} ms, "
         f"in the monitor's steps {np.median(loop):.0f} ms, at most {max(loop):.0f} ms, angle {np.median(wide):.2f} times as large"
     )
-    loop, core = replace(bounds, fast=True), CompiledStops.of(s)
+    loop = replace(bounds, fast=True)
     from_python, alone = median_us(lambda: loop.bound(q, dq), 200), median_us(lambda: core.bound(q, dq), 200)
     print(
         f"one bound in the monitor's steps: by the core with the tool's way {alone:.0f} us, all that Python tells of it {from_python:.0f} us"

@@ -1,4 +1,4 @@
-"""A bound for a fast loop, that of the monitor is held against: made once for a box of states, evaluated in microseconds.
+"""What a certified box says of a state inside it, written plainly: bounds of the monitor, which keeps boxes alone, are held against it.
 
 A certificate is the tube of the box with the accelerations it was verified for.  Every motion from a state in the box
 obeys them, so from that state the one-sided comparison gives tighter curves: a closed form per joint, cut at the knots by

@@ -92,6 +92,26 @@ def test_no_source_declares_memory_that_outlives_a_call() -> None:
     assert changing("static const int three = 3;\nstatic int two(void) { return 2; }\n/* static int no; */") == []
 
 
+def long_functions(text: str) -> dict[str, int]:
+    """Functions that do not fit on a screen, and their lines: from the first line of the head to the brace that closes it."""
+    found: dict[str, int] = {}
+    head = 0
+    for k, line in enumerate(code_of(text).splitlines()):
+        if re.match(r"[A-Za-z_].*\w\(", line):
+            head = k
+        if line == "}" and k - head >= 70:
+            found[text.splitlines()[head]] = k - head + 1
+    return found
+
+
+def test_functions_in_c_fit_on_a_screen() -> None:
+    for path in (*build.c_files(), *sorted(FMU.glob("*.c"))):
+        assert not long_functions(path.read_text(encoding="utf-8")), path.name
+    body = "    x += 1;\n"
+    assert long_functions(f"int f(int x,\n      int y) {{\n{body * 68}}}\n") == {"int f(int x,": 71}
+    assert not long_functions(f"int f(int x,\n      int y) {{\n{body * 67}}}\nint g(int z) {{\n}}\n")
+
+
 def writable(library: Path) -> list[str]:
     """Objects of a library that lie where they can be written."""
     done = subprocess.run(["nm", "-f", "sysv", library], capture_output=True, text=True, check=True)

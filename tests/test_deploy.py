@@ -97,6 +97,12 @@ def test_the_container_runs_shut_in_and_is_begun_again() -> None:
         v.endswith(":/var/lib/stopset") for v in service["volumes"]
     )
     assert service["ulimits"] == {"memlock": -1, "rtprio": 40} and service["network_mode"] == "host"
+    assert (
+        service["mem_limit"] == service["memswap_limit"] == "1g" and service["pids_limit"] == 128 and service["cpuset"] == "2-3"
+    )
+    unit = (DEPLOY / "systemd/stopset.service").read_text().splitlines()
+    assert {"MemoryMax=1G", "MemorySwapMax=0", "TasksMax=128", "Restart=always"} <= set(unit)
+    assert "AllowedCPUs=2-3" in (DEPLOY / "systemd/stopset.slice").read_text().splitlines()
 
 
 @pytest.mark.parametrize("wheel", ["nothing.whl", "numpy-2.0-py3-none-any.whl", "stopset-1.0.tar.gz", ""])

@@ -26,6 +26,7 @@ from stopset.monitor.replay import signal_rows
 from stopset.monitor.source import sample_of
 
 MILLI = 1.7453292519943296e-05
+ELMO = Path(__file__).parents[1] / "deploy" / "profiles" / "elmo-gold" / "monitor.toml"
 
 
 def eds(folder: Path, axes: int, status_on_change: bool) -> Path:
@@ -142,6 +143,33 @@ def test_places_that_cannot_be_are_refused(nodes: str, word: str, tmp_path: Path
     path.write_text(re.sub(r"\[nodes\]\n(?:j.*\n)+", f"[nodes]\n{nodes}\n", path.read_text()))
     with pytest.raises(BusError, match=word):
         load_profile(path)
+
+
+def test_a_tpdo_of_which_nobody_says_how_much_it_maps_is_passed_over(tmp_path: Path) -> None:
+    """As makers' files leave those that are not in use; it must not cost the others, nor stand for what it may map."""
+    profile(tmp_path, axes=1)
+    path = tmp_path / "drive.eds"
+    text, unsaid = path.read_text(), "[1A02sub0]\nParameterName=s0\nObjectType=0x7\nDataType=0x5\nAccessType=rw\nDefaultValue="
+    assert unsaid + "1" in text
+    path.write_text(text.replace(unsaid + "1", unsaid))
+    with pytest.raises(BusError, match="status of j1 is in no TPDO"):
+        Decoder(load_profile(tmp_path / "arm.toml"))
+    whole = (tmp_path / "arm.toml").read_text()
+    (tmp_path / "arm.toml").write_text(whole[: whole.index("[signals.status]")])
+    assert not check_profile(load_profile(tmp_path / "arm.toml")).wrong
+
+
+def test_a_second_family_of_drives_is_read_to_half_a_count() -> None:
+    p = load_profile(ELMO)
+    assert not check_profile(p).wrong
+    rows, frames = heard(p)
+    cycles = list(decoded(p, frames))
+    assert len(cycles) > 50
+    for k, c in enumerate(cycles):
+        for name in ("q", "dq", "tau"):
+            i = SIGNALS.index(name)
+            assert np.all(np.abs(c.values[i] - rows[k][i]) <= p.quantum(name) * (1 + 1e-6))
+    assert not set(p.joints) & set(load_profile("lwa4p/monitor").joints), "an example's numbers fit no model"
 
 
 # ---- the check

@@ -28,6 +28,7 @@ FORMATS = {
     datatypes.REAL32: "f", datatypes.REAL64: "d", datatypes.BOOLEAN: "?",
 }  # fmt: skip
 LONGEST = 8  # bytes of a frame
+MAPPINGS = range(0x1A00, 0x1C00)  # objects that say what TPDOs map (CiA 301)
 FIRST_OF_AXES = 0x6000  # objects below are the device's
 
 
@@ -76,6 +77,7 @@ def _frame_maps(
         }  # fmt: skip
         try:
             node = network.add_node(canopen.RemoteNode(node_id, str(dcf)))
+            _settle(node.object_dictionary)
             node.tpdo.read(from_od=True)  # type: ignore[no-untyped-call]
         except (configparser.Error, ObjectDictionaryError, KeyError, ValueError, TypeError, AttributeError) as e:
             raise BusError(f"{dcf} is not a usable EDS or DCF ({type(e).__name__}: {e}); mend or replace it") from e
@@ -95,6 +97,14 @@ def _frame_maps(
                 "torques after every SYNC: have the master map them, or take a signal that is not there out of the profile"
             )
     return maps
+
+
+def _settle(dictionary: Any) -> None:
+    """A TPDO of which the file does not say how much it maps, as makers' files leave those that nobody uses, maps nothing."""
+    for index in MAPPINGS:
+        count = dictionary[index].get(0) if index in dictionary else None
+        if count is not None and count.value is None and count.default is None:
+            count.default = 0
 
 
 def _synchronous(pdo: Any) -> bool:

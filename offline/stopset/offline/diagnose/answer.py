@@ -39,6 +39,7 @@ class Ranked:
     points: Partial | None = None  # to draw what it explains; None where a simulation is judged
     change: Change | None = None  # of a level that the model had
     objection: str = ""  # why it is no finding after all
+    surplus: bool = False  # that it is one more than are named is all that speaks against it
     together: tuple[str, ...] = ()  # effects that it must be added with: one of these alone makes some error larger
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 

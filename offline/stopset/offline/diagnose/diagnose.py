@@ -30,6 +30,7 @@ SINGLE = (
     "one trial: how friction scatters from trial to trial cannot be known from it, so effects that differ only from trial to trial are not "
     "told; the others were judged on blocks of time left out in turn, which speaks of this motion only"
 )
+LEAVES_TOO_MUCH = "it explains a part, and leaves too much to be the cause"
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
 
 
@@ -79,7 +80,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         depends_on=_depends(verdict, worst, shown, joints),
         not_identifiable=blind,
         next_experiment=next_experiment,
-        unexplained=_unexplained(x),
+        unexplained=_unexplained(x, verdict),
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
@@ -142,14 +143,20 @@ def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Seq
     return (f"no recorded variable (joint {joints[worst]})",) if verdict == "unknown" and worst is not None else ()
 
 
-def _unexplained(x: Examination) -> tuple[Unexplained, ...]:
-    """What is left at each joint that holds more than its sensors' noise, or a claim that is no finding."""
-    sound = [k for k, r in enumerate(x.ranked) if not r.objection]
+def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
+    """What is left at each joint that holds more than its sensors' noise, or a claim that is no finding.
+
+    Of an unknown cause nothing is named, so what is left is what the model leaves without any claim.
+    """
+    unknown = verdict == "unknown"
+    sound = [] if unknown else [k for k, r in enumerate(x.ranked) if not r.objection]
     error = x.steps(sound)[-1].after if sound else x.found.before
     out = []
     for j, joint in enumerate(x.engine.data.joints):
+        here = [r for r in x.ranked if joint in (r.joints or x.engine.data.joints[:1])]
+        stands = {r.label: unknown and (r.surplus or not r.objection) for r in here}
         refuted = tuple(
-            f"{r.label}: {r.objection}" for r in x.ranked if r.objection and joint in (r.joints or x.engine.data.joints[:1])
+            f"{r.label}: {LEAVES_TOO_MUCH if stands[r.label] else r.objection}" for r in here if unknown or r.objection
         )
         if x.found.excess[j] > limit.QUIET or j in x.left.depends or refuted:
             names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])

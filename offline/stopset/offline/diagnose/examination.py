@@ -109,6 +109,22 @@ def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[S
     return out
 
 
+def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int, Step]:
+    """The step of each claim to be named, by its place; a claim that lowers the error too little beside those before it, now that all
+    are known, gets that as its objection."""
+    out, before, earlier = dict[int, Step](), found.before, list[Candidate]()
+    for k, claim in enumerate(found.claims):
+        if objections[k] or len(out) == limit.HANDFUL:
+            continue
+        c = claim.scored.candidate
+        taken = step(already, c, before, found.hyper, earlier)
+        if taken.why:
+            objections[k] = taken.why
+            continue
+        out[k], already, before, earlier = taken, already.plus(c), taken.after, [*earlier, c]
+    return out
+
+
 def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]:
     """Every claim with its numbers, one entry each; errors before and after count those that are findings only, in this order."""
     engine = already.engine
@@ -120,19 +136,18 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
-    sound = [k for k, why in enumerate(objections) if not why]
-    sound = [k for place, k in enumerate(sound) if place < limit.HANDFUL]
-    steps = dict(zip(sound, _steps(found, already, [found.claims[k] for k in sound]), strict=True))
+    steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
         c, taken = claim.scored.candidate, steps.get(k, Step(error, error, ""))
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
+        surplus = bool(why) and not objections[k]
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.before[taken.joint]),
                 float(taken.after[taken.joint]), given, c.effect.look_at, _says(c.effect, given, described=not engine.source.gain_std),
-                points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why,
+                points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus,
             )
         )  # fmt: skip
         error = error if why else taken.after

@@ -45,14 +45,25 @@ def left_of(found: Found) -> Left:
         ranked = ranking[j] = dependences(now, p.theta, hyper, j)
         if slow_excess(now, p.theta, hyper, j) > limit.WANDER:
             wandering.append(j)
-        claimed = sum(c.score for c in found.claims if not c.joints or j in c.joints)
         if ranked[0].gain > limit.PATTERN:
             depends[j] = ranked
-            if claimed and ranked[0].gain > limit.PATTERN_SHARE * claimed:
+            if _contradicts(ranked[0], found, j):
                 contradicted.append(j)
     noisy = tuple(dict.fromkeys([*wandering, *(j for j, e in enumerate(found.excess) if e > limit.QUIET)]))
     scattering = tuple(j for j, s in enumerate(found.hyper.sigma) if s > limit.FRICTION_SCATTER)
     return Left(hyper, p.theta, ranking, depends, noisy, tuple(contradicted), scattering)
+
+
+def _contradicts(rest: Dependence, found: Found, joint: int) -> bool:
+    """Whether a pattern left at a joint speaks against its own claims, by evidence and by size.
+
+    Evidence alone would not do: it saturates where a claim takes nearly all away, and what a law leaves whose form is a little off
+    (a dress pack that stiffens is no straight spring) is still large beside the sensors' noise.
+    """
+    claims = [c for c in found.claims if not c.joints or joint in c.joints]
+    taken = sum(max(0.0, c.excess_before[joint] - c.excess_after[joint]) for c in claims)
+    left = rest.share * found.excess[joint]
+    return bool(claims) and rest.gain > limit.PATTERN_SHARE * sum(c.score for c in claims) and left > limit.PATTERN_SIZE * taken
 
 
 def verdict_of(found: Found, left: Left) -> str:

@@ -53,6 +53,7 @@ QUIET = 2.5  # variance over the sensors' noise
 WANDER = 2.5  # variance over the sensors' noise
 PATTERN = 100.0  # gain in twice the log likelihood
 PATTERN_SHARE = 0.2  # of the claims' score
+PATTERN_SIZE = 0.02
 PATTERN_ROWS = 100
 TOGETHER = 1.5  # times the best variable alone
 NAMED_BESIDE = 0.5  # of the best variable's share
@@ -216,6 +217,9 @@ SETTLED = (
               "UR10e to 18.5"),
     Threshold("PATTERN_SHARE", "share of its joint's claims' score from which on a pattern left contradicts them", "%",
               "a true law leaves below 1 %, an impostor a quarter and more"),
+    Threshold("PATTERN_SIZE", "and its variance, in what the claims took away", "",
+              "a spring that hardens by 5 % at 1 rad leaves 0.001 of what a straight one takes away; impostors 0.34 (a bump called spring) "
+              "and 36; the threshold is between them in the logarithm"),
     Threshold("PATTERN_ROWS", "moving rows of a joint from which on a pattern is looked for", "",
               "chosen: 24 steps of four rows"),
     Threshold("TOGETHER", "two variables are named together where their product explains so many times what either does alone", "",

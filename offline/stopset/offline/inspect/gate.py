@@ -54,7 +54,9 @@ def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> tuple[str, 
     """
     scale, std = torque_scales(robot, data)
     _refuse(against_model(robot, meta, scale, std, RIGHT_TORN))
-    return _in_words(against_model(robot, meta, scale, std, RIGHT))
+    # other laws of friction, perhaps through a filter: `stopset inspect` need not have found the same
+    strange = against_model(robot, meta, scale, std, RIGHT)
+    return tuple(f"seen beside the fitted friction ({f.severity}): {f.says}" for f in strange if f.severity != "note")
 
 
 def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed: bool) -> tuple[str, ...]:

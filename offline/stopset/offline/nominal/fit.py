@@ -261,7 +261,7 @@ def _carried(layout: Layout, theta: Array, prior: Prior) -> str:
     """What the last link has beyond its description, in words."""
     extra = (theta[: len(prior.mean)] - prior.mean)[prior.last]
     return (
-        f"{layout.joints[-1]} carries what the description does not have: {extra[0]:.3g} kg, first moment "
+        f"{layout.joints[-1]} carries what the description does not have: by that description alone {extra[0]:.3g} kg, first moment "
         f"{float(np.linalg.norm(extra[1:4])):.3g} kg m (masses of neighbouring links may be shared between them); if it is a load, tell it with "
         "--condition payload=..., if a tool, describe it"
     )
