@@ -31,7 +31,7 @@ MODELS = {
     "cubic": braked(8.0, 2, cubic=0.2),
     "model 3": whole(),
 }
-CALLS = 100  # runs of 60 calls each
+CALLS = 60  # runs of 60 calls each
 CALLS_SLOW = 12  # under valgrind, which takes some forty times as long
 
 
