@@ -19,7 +19,7 @@ from stopset.monitor.inputs import Inputs
 from stopset.monitor.payload import unidentified_payload
 from stopset.monitor.predictions import Predictions
 from stopset.monitor.sample import Quantum, Sample
-from stopset.monitor.verdict import Conformance, Deviation, Verdict
+from stopset.monitor.verdict import Conformance, Deviation, Verdict, beyond_domain
 from stopset.monitor.watch import Watch
 from stopset.reach.nonlinear import FAR
 from stopset.types import Array
@@ -110,9 +110,7 @@ class WatchAlong(Check):
 
     def _doubtful(self, outside: tuple[str, ...]) -> Verdict:
         """Between two steps, where the last one was not good or this sample is outside."""
-        why = (
-            f"outside the identified domain: {', '.join(outside)}" if outside else "not compared since the last step of the model"
-        )
+        why = beyond_domain(outside) if outside else "not compared since the last step of the model"
         return Verdict(Conformance.UNKNOWN, why, outside=outside)
 
     def _at_step(self, x: Array, live: int, outside: tuple[str, ...]) -> Verdict:
@@ -121,15 +119,8 @@ class WatchAlong(Check):
             return Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=outside)
         held = self._predictions.held
         self._between = held.lo.copy(), held.hi.copy()
-        found = [self._deviation(x, side, i) for side, i in np.argwhere(held.age > 0).tolist()]
-        result, why = Conformance.CONFORMANT, "inside every prediction"
-        if found:
-            worst = max(found, key=lambda d: d.fraction)
-            result = Conformance.VIOLATION
-            why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
-        elif outside:
-            result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(outside)}"
-        return Verdict(result, why, live, float(self.ages[held.oldest[0]]), tuple(found), outside, held.room.copy())
+        found = tuple(self._deviation(x, side, i) for side, i in np.argwhere(held.age > 0).tolist())
+        return Verdict.of_comparison(found, outside, live, float(self.ages[held.oldest[0]]), held.room.copy())
 
     def _deviation(self, x: Array, below: int, i: int) -> Deviation:
         n, held = self.model.n, self._predictions.held

@@ -49,3 +49,22 @@ class Verdict:
     outside: tuple[str, ...] = ()
     room: Array | None = None
     gap: bool = False
+
+    @classmethod
+    def of_comparison(
+        cls, deviations: tuple[Deviation, ...], outside: tuple[str, ...], compared: int, oldest: float, room: Array
+    ) -> Verdict:
+        """What a sample that was held against predictions has come to: one contradiction is a violation, inside the domain or not."""
+        result, why = Conformance.CONFORMANT, "inside every prediction"
+        if deviations:
+            worst = max(deviations, key=lambda d: d.fraction)
+            result = Conformance.VIOLATION
+            why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
+        elif outside:
+            result, why = Conformance.UNKNOWN, beyond_domain(outside)
+        return cls(result, why, compared, oldest, deviations, outside, room)
+
+
+def beyond_domain(outside: tuple[str, ...]) -> str:
+    """Why nothing is known of a sample whose signals ``outside`` the model was not identified for."""
+    return f"outside the identified domain: {', '.join(outside)}"

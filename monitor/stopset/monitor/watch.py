@@ -185,15 +185,7 @@ class Watch(Check):
         if not c.live:
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=beyond)
         deviations = self.tubes.deviations(x) if c.seen[1] else ()
-        result, why = Conformance.CONFORMANT, "inside every prediction"
-        if deviations:
-            worst = max(deviations, key=lambda d: d.fraction)
-            result = Conformance.VIOLATION
-            why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
-        elif beyond:
-            result, why = Conformance.UNKNOWN, f"outside the identified domain: {', '.join(beyond)}"
-        room = self.tubes.room.copy()
-        return Verdict(result, why, c.live, float(self.ages[c.seen[0]]), deviations, beyond, room)
+        return Verdict.of_comparison(deviations, beyond, c.live, float(self.ages[c.seen[0]]), self.tubes.room.copy())
 
 
 def check_cycle(model: Model, cycle_s: float) -> None:
