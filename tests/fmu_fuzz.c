@@ -53,8 +53,11 @@ int main(int argc, char **argv) {
         if (c && below(10)) { /* mostly a run that begins as it should */
             const fmi3Boolean measured = below(3) != 0; /* a model of motor torque is covered only then */
             fmi3SetBoolean(c, &measured_of, 1, &measured, 1);
+            vr[0] = VR_DQ_START + below(NJ);
+            x[0] = number();
+            if (below(2)) fmi3SetFloat64(c, vr, 1, x, 1);
             for (unsigned k = below(4); k; k--) {
-                vr[0] = below(N_REAL + 1);
+                vr[0] = place(N_REAL + 1);
                 x[0] = number();
                 fmi3SetFloat64(c, vr, 1, x, 1);
             }
@@ -66,7 +69,7 @@ int main(int argc, char **argv) {
         for (call = 0; call < 60; call++) {
             fmi3Status got = fmi3OK;
             fmi3Boolean a, b, d, e, f, flags[2];
-            int32_t i = (int32_t)below(7) - 2;
+            int32_t i = below(2) ? 1 : (int32_t)below(7) - 2;
             unsigned many = below(4);
             size_t size = 0;
             last[0] = 0;
@@ -77,18 +80,18 @@ int main(int argc, char **argv) {
             case 3:
             case 4:
                 for (unsigned k = 0; k < many; k++) {
-                    vr[k] = below(N_REAL + 2);
+                    vr[k] = place(N_REAL + 2);
                     x[k] = number();
                 }
                 got = fmi3SetFloat64(c, vr, many, x, below(20) ? many : many + 1);
                 break;
             case 5:
-                vr[0] = below(N_ALL + 2);
+                vr[0] = below(2) ? below(N_ALL + 2) : N_REAL + IX_STOP;
                 got = fmi3SetInt32(c, vr, 1, &i, 1);
                 break;
             case 6:
             case 7:
-                vr[0] = below(N_ALL + 2);
+                vr[0] = place(N_ALL + 2);
                 a = below(2) != 0;
                 got = fmi3SetBoolean(c, vr, 1, &a, 1);
                 break;

@@ -29,6 +29,13 @@ static double number(void) {
     return ((double)(draw() >> 11) / 9007199254740992.0 - 0.5) * (below(3) ? 1.0 : 10.0);
 }
 
+/* A variable of the first so many; often one that begins a stop or changes what is proved, which chance alone seldom puts together. */
+static unsigned place(unsigned among) {
+    static const unsigned often[] = {VR_PAYLOAD_MASS, VR_PAYLOAD_LO, VR_PAYLOAD_HI, VR_WARM, VR_DQ_START, N_REAL + IX_STOP, VR_MEASURED, N_REAL + N_INT + IX_EVALUATE_STOP};
+    const unsigned one = often[below(sizeof often / sizeof *often)];
+    return !below(3) && one < among ? one : below(among);
+}
+
 /* Why nothing may be covered with these values of all real variables, by what the model says it was identified for; 0: it may. */
 static const char *beyond(const double r[N_REAL], int measured) {
     const StopsetModel *m = &stopset_model;
@@ -47,8 +54,11 @@ static const char *beyond(const double r[N_REAL], int measured) {
     return 0;
 }
 
-/* A stop that is certified has numbers of at least zero, one that is not has none. */
+/* A stop that is certified has numbers of at least zero, one that is not has none; brakes take time, and what is read is
+ * not exact, so that no bound is zero. */
 static const char *untrue(const double r[N_REAL], int certified) {
+    for (int i = 0; i < NJ && certified; i++)
+        if (!(r[VR_STOP_TIME + i] > 0.0)) return "a joint stops in no time";
     for (int k = 0; k < STOP_OUTPUTS; k++) {
         const double x = r[VR_STOP_TIME + k];
         if (certified ? !(stopset_finite(x) && x >= 0.0) : !isnan(x)) return certified ? "certified without a number" : "a number that is not certified";

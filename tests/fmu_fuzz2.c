@@ -23,7 +23,7 @@ static fmi2FMUstate saved;
 
 static void some(unsigned many, unsigned among, unsigned at) {
     for (unsigned k = 0; k < many; k++) {
-        vr[at + k] = below(among);
+        vr[at + k] = place(among);
         x[at + k] = number();
     }
 }
@@ -47,7 +47,7 @@ static fmi2Status stepped(fmi2Component c) { /* time as the unit has it, mostly 
 }
 
 static fmi2Status any_call(fmi2Component c) {
-    fmi2Integer whole = (fmi2Integer)below(7) - 2;
+    fmi2Integer whole = below(2) ? 1 : (fmi2Integer)below(7) - 2;
     fmi2Boolean yes = below(3) ? (fmi2Boolean)below(2) : (fmi2Boolean)below(1000), end;
     fmi2Status of;
     fmi2String text = "text";
@@ -60,7 +60,7 @@ static fmi2Status any_call(fmi2Component c) {
     case 3:
     case 4:
     case 5: return some(many, N_REAL + 2, 0), fmi2SetReal(c, vr, many, x);
-    case 6: return some(1, N_ALL + 2, 0), fmi2SetInteger(c, vr, 1, &whole);
+    case 6: return some(1, N_ALL + 2, 0), vr[0] = below(2) ? vr[0] : N_REAL + IX_STOP, fmi2SetInteger(c, vr, 1, &whole);
     case 7:
     case 8: return some(1, N_ALL + 2, 0), fmi2SetBoolean(c, vr, 1, &yes);
     case 9:
@@ -90,8 +90,11 @@ static fmi2Status any_call(fmi2Component c) {
 /* Mostly a run that begins as it should; of a model of motor torque only a measured state is covered. */
 static void begin(fmi2Component c, int exchange) {
     const unsigned measured_of = VR_MEASURED;
+    const unsigned speed_of = VR_DQ_START + below(NJ);
     const fmi2Boolean measured = below(3) != 0;
+    const double speed = number();
     fmi2SetBoolean(c, &measured_of, 1, &measured);
+    if (below(2)) fmi2SetReal(c, &speed_of, 1, &speed);
     const unsigned many = below(4);
     some(many, N_REAL + 1, 0);
     for (unsigned k = 0; k < many; k++) fmi2SetReal(c, vr + k, 1, x + k);
