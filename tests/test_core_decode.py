@@ -145,6 +145,14 @@ def test_frames_before_any_sync_make_the_first_cycle_doubtful() -> None:
     assert given_out(t.feed([*cycle(0)[1:], *cycle(1), *cycle(2)])) == [[2.0] * 3]
 
 
+def test_a_doubtful_cycle_that_ends_late_leaves_the_next_one_doubtful() -> None:
+    """A drive is a cycle behind when the monitor begins to listen, and catches up: what ends the first cycle is of the one before."""
+    zero, one, two, three = (cycle(k) for k in range(4))
+    behind = [zero[3]._replace(t=one[0].t + 0.95 * CYCLE), one[3]._replace(t=two[0].t + 1e-5)]
+    said = given_out(Table().feed([*zero[1:3], *one[:3], behind[0], two[0], behind[1], *two[1:], *three]))
+    assert all(len(set(values)) == 1 for values in said), f"mixed of two cycles: {said}"
+
+
 @pytest.mark.parametrize(("ahead", "taken"), [(-70.0, False), (70.0, False), (-1.0, True), (1.0, True)])
 def test_a_stamp_an_hour_off_is_of_another_clock(ahead: float, taken: bool) -> None:
     """Before or after this machine's; a little off it is this one's and taken at its word."""

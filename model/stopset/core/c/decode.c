@@ -102,11 +102,12 @@ static int pdo(StopsetDecoder *d, int place, const StopsetFrame *f, double t) {
     d->seen++;
     unpack_pdo(d, p, f);
     if (d->seen < d->synchronous) return 0;
-    if (d->doubtful) {
-        d->doubtful = 0;
+    int late = t - d->t > latest * d->cycle_s;
+    if (d->doubtful) { /* what ends it late may be the next one's: then that is no better */
+        d->doubtful = late;
         return 0;
     }
-    const int late = t - d->t > latest * d->cycle_s || d->hold;
+    late |= d->hold > 0;
     double *out = late ? d->held : d->values;
     for (int k = 0; k < d->signals * d->n; k++) out[k] = d->raw[k] * d->scale[k];
     if (late) {
