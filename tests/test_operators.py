@@ -138,6 +138,7 @@ def test_a_real_monitor_is_cleared_by_a_key_alone(keys: Path, capsys: pytest.Cap
             main(["reset", "--connect", to, "--key", str(keys / "smith"), "--name", "Somebody", "--reason", "hose refitted"]) == 0
         )
         assert "by A. Smith: hose refitted" in capsys.readouterr().out
+        assert ear.wait(lambda: any(e["kind"] == "reset" for e in list(ear.events)))  # it comes by another key than the answer
         (event,) = [e for e in ear.events if e["kind"] == "reset"]
         assert event["name"] == "A. Smith" and event["proven"] is True and len(event["key"]) == 16
         assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
