@@ -144,5 +144,6 @@ def test_joint_states_over_zenoh(place: Place, tmp_path: Path) -> None:
         assert ear.twins[-1]["violation_latched"]
         ear.link.put("reset", b'{"name": "A. Person", "reason": "wrong torque constant found"}')
         assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+        assert ear.wait(lambda: any(e["kind"] == "reset" for e in list(ear.events)))
         (event,) = [e for e in ear.events if e["kind"] == "reset"]
         assert event["name"] == "A. Person" and event["joints"] == [model.joints[2]]
