@@ -97,7 +97,10 @@ def save_model(model: Model, path: str | Path) -> Model:
     return dataclasses.replace(model, sha256=json.loads(text)["sha256"])
 
 
-_hints = cache(typing.get_type_hints)  # of a few kinds, asked for thousands of times in a file
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    """Of a few kinds, asked for thousands of times in a file."""
+    return typing.get_type_hints(kind)
 
 
 def _whole(kind: Any) -> bool:
@@ -120,7 +123,7 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         rows = np.array([[float(a), float(b)] for a, b in x]).reshape(-1, 2)
         return Box(rows[:, 0].copy(), rows[:, 1].copy())
     if dataclasses.is_dataclass(kind):
-        hints = _hints(kind)
+        hints = _hints(typing.cast("Any", kind))
         known = {_key(f): f.name for f in dataclasses.fields(kind)}
         if not isinstance(x, Mapping) or set(x) - known.keys():
             raise ValueError(f"{where} holds {sorted(set(x) - known.keys()) if isinstance(x, Mapping) else type(x).__name__}")
