@@ -424,9 +424,13 @@ def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytes
     assert "took its violation for" in (tmp_path / "i.html").read_text(encoding="utf-8")
     model = tmp_path / "arm.model.json"
     save_model(known_model(), model)
-    assert main(["compare", str(model), "--data", str(path), "--json", str(tmp_path / "c.json")]) == 1
-    assert json.loads((tmp_path / "c.json").read_text())["violations"] > 0
-    capsys.readouterr()
+    words = ["compare", str(model), "--data", str(path), "--json", str(tmp_path / "c.json"), "--report", str(tmp_path / "c.html")]
+    assert main(words) == 1
+    found = json.loads((tmp_path / "c.json").read_text())
+    assert found["violations"] > 0
+    (sentence,) = found["said"]
+    assert sentence == f"The monitor that wrote {path.name} took its violation for {back.meta.said[0]}"
+    assert sentence in capsys.readouterr().out and sentence in (tmp_path / "c.html").read_text(encoding="utf-8")
     assert main(["replay", str(path), "--to", "virtual:evidence", "--speed", "inf"]) == 0
     assert f"{len(trial.t)} samples" in capsys.readouterr().out
     # read like any recording; that one motion is too little to fit an effect on is diagnosis's own affair
