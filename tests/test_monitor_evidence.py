@@ -562,7 +562,9 @@ def test_a_violation_is_on_the_disk_before_it_is_told(tmp_path: Path) -> None:
         (event, *_) = [e for e in ear.events if e["kind"] == "bundle"]
         data = Path(event["file"]).read_bytes()
         assert hashlib.sha256(data).hexdigest() == event["sha256"]
-        assert event["cause"]["kind"] == "missing_effect" and event["model_sha256"] == load_model(tmp_path / "arm.model.json").sha256
+        assert (
+            event["cause"]["kind"] == "missing_effect" and event["model_sha256"] == load_model(tmp_path / "arm.model.json").sha256
+        )
         assert ear.wait(lambda: any(t["violation_class"] == "missing_effect" for t in list(ear.twins)))
         seen = topics(Path(event["file"]))
         assert {f["id"] for f in seen["stopset/can"]} >= {0x080, 0x383, 0x483}
