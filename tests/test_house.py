@@ -597,6 +597,25 @@ def test_every_trap_has_a_row() -> None:
     assert traps == {f"P{k}" for k in range(1, 27) if k != 14}
 
 
+def test_every_equation_of_the_paper_has_a_row_and_every_row_a_test() -> None:
+    text = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    tables = text[: text.index("## Its numbers")]
+    rows = [line.strip("| ").split(" | ") for line in tables.splitlines() if line.startswith("| ") and "shown by" not in line]
+    numbered: set[int] = set()
+    for first, *_ in rows:
+        spans = re.findall(r"(?<!\w)\((\d+)\)(?:-\((\d+)\))?", first)
+        numbered |= {k for a, b in spans for k in range(int(a), int(b or a) + 1)}
+    assert numbered == set(range(1, 22))
+    assert not [row[0] for row in rows if not re.search(r"`test_\w+\.py::test_\w+`", row[-1])]
+
+
+def test_every_test_that_a_page_names_exists() -> None:
+    pages = [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+    named = {(p.name, t) for p in pages for t in re.findall(r"(test_\w+\.py::test_\w+)", p.read_text(encoding="utf-8"))}
+    assert len(named) > 100
+    assert not {(page, test) for page, test in named if test not in existing_tests()}
+
+
 def test_symbols_of_the_code_are_in_the_notation() -> None:
     text = (ROOT / "NOTATION.md").read_text(encoding="utf-8")
     for symbol in (

@@ -424,3 +424,16 @@ def test_extension_means_what_it_says() -> None:
         q = poses.worst_for(1, share, robot.pi)
         assert abs(poses.extension_of(q) - share) <= 0.021
         assert np.all(q >= robot.q_limit[:, 0]) and np.all(q <= robot.q_limit[:, 1])
+
+
+def test_only_a_pdf_needs_what_sets_one(model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [
+        m for m in sys.modules if m.startswith(("reportlab", "stopset.offline.report.pdf", "stopset.offline.stops.safety_file"))
+    ]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "reportlab", None)
+    words = ["stops", model, "--at=0,0.2,0.3,0,0.1,0", "--speed", "20%", "--category", "0"]
+    assert main([*words, "--report", str(tmp_path / "a.html")]) in (0, 1)
+    assert (tmp_path / "a.html").exists()
+    assert main([*words, "--pdf", str(tmp_path / "a.pdf")]) == 2
+    assert not (tmp_path / "a.pdf").exists()

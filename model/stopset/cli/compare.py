@@ -75,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
     said = verdict(found)
     say(said.text)
     say(f"what next: {said.next}")
+    for sentence in found.said:
+        say(sentence)
     say(_over(model, found))
     say(f"{'joint':<22}{'torque':>9}{'in full':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
     for j, row in by_failure(found):

@@ -64,7 +64,6 @@ def run(args: argparse.Namespace) -> int:
     from stopset.offline.description.older import load_model
     from stopset.offline.stops.measured import measured_stops
     from stopset.offline.stops.page import build_page
-    from stopset.offline.stops.safety_file import build_pdf
     from stopset.offline.stops.table import as_csv, loads, prepared
     from stopset.recording import read_recordings
 
@@ -88,6 +87,8 @@ def run(args: argparse.Namespace) -> int:
         if args.report:
             build_page(model, rows, assumptions, measured, separations).save(args.report)
         if args.pdf:
+            from stopset.offline.stops.safety_file import build_pdf  # what sets pages takes half a second to load
+
             write_bytes(args.pdf, build_pdf(model, rows, assumptions, measured, separations))
     _print(model, rows, assumptions, separations, say, whole=args.all)
     return 0 if any(r.answered for r in rows) else 1

@@ -331,5 +331,6 @@ def read_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | Non
         joints=joints,
         sources=tuple(s for m in metas for s in m.sources),
         warnings=tuple(w for m in metas for w in m.warnings),
+        said=tuple(c for m in metas for c in m.said),
     )
     return Recordings(meta, tuple(stream_recordings(files, robot)))

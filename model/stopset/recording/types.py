@@ -32,6 +32,12 @@ class Meta:
     sources: tuple[tuple[str, str], ...] = ()  # (file name, SHA-256)
     said: tuple[str, ...] = ()  # what a monitor took for the causes of violations in it
 
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Sentences on what the monitor that wrote the file took its violations for."""
+        name = self.sources[0][0] if self.sources else "it"
+        return tuple(f"The monitor that wrote {name} took its violation for {cause}" for cause in self.said)
+
 
 @dataclass(frozen=True, slots=True)
 class Recording:

@@ -70,21 +70,26 @@ class Region:
         limit, speed = setting.torques.speed, 1.05 * fast + 0.05
         return cls(1.1 * lasts * fast + 0.01, np.where(fast < limit, np.minimum(speed, limit), speed))
 
-    def plant(self, setting: Setting, plant: Plant, start: Start) -> Plant:
-        """``plant`` with what the effects give in the region around ``start``."""
+    def friction(self, setting: Setting, start: Start) -> Friction:
+        """What the effects give in the region around ``start``."""
         if self._friction is None:
             at = start.angles
             self._friction = setting.torques.over(Box(at.lo - self.travel, at.hi + self.travel), self.speed)
-        return setting.with_friction(plant, self._friction)
+        return self._friction
 
-    def holds(self, tube: Tube) -> bool:
-        """Whether the tube stays inside; if not the region is now a larger one."""
+    def holds(self, setting: Setting, tube: Tube, start: Start) -> bool:
+        """Whether the tube stays inside; if not the region is now a larger one, in which it stays where the effects give the same
+        there: then it is that region's tube too."""
         moved, fast = np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0)), fastest(tube)
-        if np.all(moved < self.travel) and np.all(fast < self.speed):
+        if self._inside(moved, fast):
             return True
+        before = self._friction
         self.travel, self.speed = np.maximum(self.travel, 1.3 * moved), np.maximum(self.speed, 1.1 * fast)
         self.known, self._friction = True, None
-        return False
+        return before is not None and before.same(self.friction(setting, start)) and self._inside(moved, fast)
+
+    def _inside(self, moved: Array, fast: Array) -> bool:
+        return bool(np.all(moved < self.travel) and np.all(fast < self.speed))
 
 
 def march_box(
@@ -93,8 +98,8 @@ def march_box(
 ) -> Tube:  # fmt: skip
     """One tube of ``plant`` from the states of ``start``.
 
-    Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here, first
-    with a coarse tube.
+    Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here: first
+    with a coarse tube where laws look at the rigid body, and so at every joint.
     """
     fast, angles, speeds = start.fastest, start.angles, start.speeds
     knots = knots or (ENERGY_KNOTS if energetic else KNOTS)
@@ -106,15 +111,16 @@ def march_box(
         return march(plant, angles, speeds, steps, parts, energetic=energetic)
     region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
-        coarse = not region.known
+        coarse = not region.known and bool(setting.torques.needs)
         few, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
         steps = Stride(lasts / few, few * patience + brief, closes / brief)
-        tube = march(region.plant(setting, plant, start), angles, speeds, steps, parts, energetic=energetic)
+        at = setting.with_friction(plant, region.friction(setting, start))
+        tube = march(at, angles, speeds, steps, parts, energetic=energetic)
         if tube.end != OK and not coarse:
             return tube
         if tube.end != OK:
             region.known = True  # no more is found with so few steps
-        elif region.holds(tube):
+        elif region.holds(setting, tube, start):
             if not coarse:
                 return tube
             region.known = True

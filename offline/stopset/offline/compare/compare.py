@@ -28,7 +28,7 @@ from stopset.progress import Progress, silent
 from stopset.reach.flowpipe import DeviationTube, deviation_tube
 from stopset.reach.nonlinear import predicted_tube
 from stopset.reach.predict import predict
-from stopset.recording import Recording, read_meta, stream_recordings
+from stopset.recording import Meta, Recording, read_meta, stream_recordings
 from stopset.types import Array
 
 
@@ -73,6 +73,7 @@ class Comparison:
     tube: DeviationTube
     tightness: Tightness
     bands: dict[str, tuple[int, int]] = field(default_factory=dict)  # temperature band -> recordings in it, those that leave it
+    said: tuple[str, ...] = ()  # sentences: what the monitors that wrote these files took their violations for
 
     @property
     def violations(self) -> tuple[Violation, ...]:
@@ -116,7 +117,7 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
 
     Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
     """
-    check_effort(model, paths)
+    said = tuple(sentence for meta in check_effort(model, paths) for sentence in meta.causes)
     trials = ReadOnce(partial(stream_recordings, tuple(paths), model.robot))
     found = survey(trials)
     dt = model.powered.dt
@@ -141,7 +142,7 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
     known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
     for k, j in enumerate(model.joints):
         by_joint[j]["torque_rmse_known"] = None if known is None else float(known[k])
-    return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands)
+    return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands, said)
 
 
 def _known(model: Model, r: Recording, u: Array, cutoff: float) -> list[Array]:
@@ -224,15 +225,16 @@ def _stride(model: Model, trials: Source, found: Survey) -> int:
     return stride_of(sum((n - 1) // every for n in lengths), WINDOWS)
 
 
-def check_effort(model: Model, paths: Sequence[str | Path]) -> None:
-    """Refuse recordings of another kind of torque than the model was made from."""
-    for p in paths:
-        effort = read_meta(p).effort
-        kinds = {effort, model.effort}
+def check_effort(model: Model, paths: Sequence[str | Path]) -> list[Meta]:
+    """What each file says of itself; refuses recordings of another kind of torque than the model was made from."""
+    out = [read_meta(p) for p in paths]
+    for p, meta in zip(paths, out, strict=True):
+        kinds = {meta.effort, model.effort}
         if len(kinds) > 1 and "compensated_torque" in kinds:
             raise RecordingError(
-                f"{p} holds {effort}, the model was identified from {model.effort}; give recordings of the same kind of torque"
+                f"{p} holds {meta.effort}, the model was identified from {model.effort}; give recordings of the same kind of torque"
             )
+    return out
 
 
 def _worst(names: Sequence[str], env: Envelope, tube: DeviationTube, label: str) -> Violation | None:
@@ -261,6 +263,7 @@ def answer(model: Model, found: Comparison) -> dict[str, Any]:
         "recordings": len(found.rows),
         "violations": len(found.violations),
         "outside_domain": found.outside_domain,
+        "said": list(found.said),
         "sets": {
             j: {
                 "U": [float(s.U.lo[k]), float(s.U.hi[k])],

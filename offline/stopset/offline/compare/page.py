@@ -33,6 +33,8 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
     drawn = chosen(model, found)
     out.verdict(said.text, said.kind)
     out.next(said.next)
+    for sentence in found.said:
+        out.text(f"{sentence}.")
     left(out, model, drawn)
     _errors(out, model, found)
     _heat_map(out, model, shares or explained(model, inputs(model, found.trials, found.survey, model.powered.dt), found.survey))
