@@ -7,15 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.core.library import lib
+from stopset.core.library import given, lib, view
 from stopset.reach.stops.friction import Friction
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import certify, nearer
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Stride, Tube, march
+from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Stride, Tube, march, plant_struct
 from stopset.reach.stops.windows import windows
-from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -44,12 +43,11 @@ MORE_PATIENCE: int = lib.STOPSET_STOP_MORE_PATIENCE  # where the kinetic energy 
 
 
 def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
-    """Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration."""
-    engaged = float(np.max(plant.delay_hi + plant.rise_hi))
-    M = plant.rotor + np.maximum(1e-3, np.abs(plant.pi[:, 0]) * 0.1)
-    authority = plant.brake_lo + plant.coulomb_lo - np.abs(gravity_torque(plant.chain, plant.pi, q))
-    authority = np.maximum(authority, 0.2 * plant.brake_lo + 1e-6)
-    return engaged + float(np.min([0.5, np.max(np.abs(speed) * M / authority)]))
+    """Rough length of a stop [s] from ``q`` [rad] at ``speed`` [rad/s], (n,) each, to choose the time step."""
+    if not q.shape == speed.shape == plant.rotor.shape:
+        raise ValueError(f"a state of {q.shape} and {speed.shape} for {len(plant.rotor)} joints")
+    struct, _held = plant_struct(plant)
+    return float(lib.stopset_expected_stop(struct, view(given(q)), view(given(np.abs(speed)))))
 
 
 @dataclass(slots=True)
@@ -103,20 +101,22 @@ def march_box(
     Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here: first
     with a coarse tube where laws look at the rigid body, and so at every joint.
     """
-    fast = start.fastest
+    fast, angles, speeds = start.fastest, start.angles, start.speeds
     knots = knots or (ENERGY_KNOTS if energetic else KNOTS)
     lasts = expected_stop(setting.plant, start.q, fast)
     patience = MORE_PATIENCE if energetic else PATIENCE
-    settled = setting.torques.settled
-    closes = float(np.max(plant.delay_hi + plant.rise_hi) - np.min(plant.delay_lo))
+    closes = float((plant.delay_hi + plant.rise_hi).max() - plant.delay_lo.min())
+    if setting.torques.settled:
+        steps = Stride(lasts / knots.stop, knots.stop * patience + knots.closing, closes / knots.closing)
+        return march(plant, angles, speeds, steps, parts, energetic=energetic)
     region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
-        coarse = not (settled or region.known) and bool(setting.torques.needs)
+        coarse = not region.known and bool(setting.torques.needs)
         few, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
         steps = Stride(lasts / few, few * patience + brief, closes / brief)
-        at = plant if settled else setting.with_friction(plant, region.friction(setting, start))
-        tube = march(at, start.angles, start.speeds, steps, parts, energetic=energetic)
-        if settled or (tube.end != OK and not coarse):
+        at = setting.with_friction(plant, region.friction(setting, start))
+        tube = march(at, angles, speeds, steps, parts, energetic=energetic)
+        if tube.end != OK and not coarse:
             return tube
         if tube.end != OK:
             region.known = True  # no more is found with so few steps

@@ -23,8 +23,7 @@ static double *take(double **room, int64_t count) {
     return out;
 }
 
-/* Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration. */
-double stops_expected(const StopsetPlant *p, const double *q, const double *speed) {
+double stopset_expected_stop(const StopsetPlant *p, const double *q, const double *speed) {
     const int n = p->arm.n;
     double g[SN], engaged = -STOPS_INF, longest = -STOPS_INF;
     stopset_gravity_torques(&p->arm, 1, q, g);
@@ -258,7 +257,7 @@ int stopset_power_off(const StopsetStops *stops, const double *q, const double *
     StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
     stops_begin(&a, work, out);
     for (int i = 0; i < n; i++) speed[i] = size_of(dq[i]) + dq_radius[i];
-    a.lasts = stops_expected(&stops->plant, q, speed);
+    a.lasts = stopset_expected_stop(&stops->plant, q, speed);
     for (int k = 0; k < 2; k++) stops_guess(&a, region + k); /* the kinetic energy's tubes lead farther */
     /* the latest brakes are the hardest: what cannot be proved is known at once */
     for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {
