@@ -16,6 +16,7 @@ from stopset.monitor.along import WatchAlong
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.clock import Clock
 from stopset.monitor.config import Config
+from stopset.monitor.durations import Durations
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import Flag, State
@@ -29,7 +30,6 @@ from stopset.monitor.source import SampleSource
 from stopset.monitor.stopdesk import StopDesk
 from stopset.monitor.verdict import Conformance, Verdict
 from stopset.monitor.watch import Watch
-from stopset.monitor.window import Window
 
 NOTICE = "Monitoring aid, not a safety function: bounds hold only for the identified model; stop distances for the risk "
 NOTICE += "assessment must be measured (ISO 10218-1, ISO 13855)."
@@ -56,8 +56,8 @@ class RunCounts:
     gaps: int = 0
     faults: int = 0
     late: int = 0
-    delays: Window = field(default_factory=Window)
-    busy: Window = field(default_factory=Window)
+    delays: Durations = field(default_factory=Durations)
+    busy: Durations = field(default_factory=Durations)
 
 
 class Monitored(Protocol):

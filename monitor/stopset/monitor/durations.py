@@ -7,7 +7,7 @@ from array import array
 MOST = 4096  # of one window; a health message ends it, at 1 kHz after some 1000
 
 
-class Window:
+class Durations:
     """Durations [s] since the last `clear`, the latest `MOST` of them."""
 
     __slots__ = ("_count", "_seconds")
