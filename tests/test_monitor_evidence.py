@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 
 from monitor_arm import DT, known_model, meta, motion, with_torque_scaled
 from monitor_faults import KINDS, Fault, Spring
+from monitor_life import Life
 from monitor_process import Ear, environment, free_port, running, write_config
 from monitor_world import EPOCH, World
 from patience import wait
@@ -27,6 +28,7 @@ from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Records
+from stopset.monitor.evidence import plausible
 from stopset.monitor.evidence.cause import Kind
 from stopset.monitor.evidence.classify import AFTER, CREDIBLE, Case, Pushes, classify, late_torque
 from stopset.monitor.evidence.dynamics import Readings
@@ -233,6 +235,20 @@ def test_an_arm_that_is_not_where_it_was_left_is_said(tmp_path: Path) -> None:
     off = replace(r, q=r.q + np.array([0.0, 0.05, 0, 0, 0, 0]))
     (words,) = [n for n in record(tmp_path, known_model(), Records(), off).notes if "home" in n]
     assert "arm_2_joint by +0.05" in words and "arm_3" not in words
+
+
+def test_what_was_found_in_the_last_moment_is_said_before_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm moved between two short lives: the second one says so, although it ends before the next look would be due."""
+    life = Life(tmp_path)
+    said: list[dict[str, Any]] = []
+    monkeypatch.setattr(life.daemon.publisher, "event", lambda kind, **more: said.append({"kind": kind, **more}))
+    plausible.keep_position(life.recorder.folder, life.motion.q[0] + np.array([0.0, 0.05, 0, 0, 0, 0]))
+    life.script.extend(life.samples(20))
+    life.daemon.run(lambda: life)
+    assert not [e for e in said if e["kind"] == "plausibility"]
+    life.daemon.close()
+    (found,) = [e for e in said if e["kind"] == "plausibility"]
+    assert "arm_2_joint by -0.04" in found["why"]
 
 
 def test_readings_that_are_all_zero_are_no_readings() -> None:

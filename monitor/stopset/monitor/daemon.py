@@ -228,10 +228,7 @@ class Daemon:
             else:
                 self._clear(order[0], now)
         self._take_reloaded()
-        while self.recorder is not None and self.recorder.answers:
-            self._classed(self.recorder.answers.popleft(), now)
-        while self.recorder is not None and self.recorder.notes:
-            self.publisher.event("plausibility", why=self.recorder.notes.popleft())
+        self._say_recorded(now)
 
     def _clear(self, order: Reset, now: float) -> None:
         """A person clears the latch, if this one may."""
@@ -245,6 +242,13 @@ class Daemon:
             cleared=self.latch.count, joints=list(self.latch.joints),
         )  # fmt: skip
         self.latch.reset(name, order.reason, now)
+
+    def _say_recorded(self, now: float) -> None:
+        """What the recorder has found since the last turn."""
+        while self.recorder is not None and self.recorder.answers:
+            self._classed(self.recorder.answers.popleft(), now)
+        while self.recorder is not None and self.recorder.notes:
+            self.publisher.event("plausibility", why=self.recorder.notes.popleft())
 
     def _classed(self, answer: Filed, now: float) -> None:
         """The recorder has looked at a violation: it is on the disk, and told."""
@@ -346,9 +350,8 @@ class Daemon:
         self._send(turn)
         self.publisher.words("state/json", twin(self, turn), must_arrive=True)
         if self.recorder is not None:
-            self.recorder.close()  # a violation of the last moment is written and told too
-            while self.recorder.answers:
-                self._classed(self.recorder.answers.popleft(), self.clock.monotonic())
+            self.recorder.close()  # what it has found in the last moment is written and told too
+            self._say_recorded(self.clock.monotonic())
         self.publisher.event("stopped")
         self.latch.close()
         self.remaining.close()
