@@ -204,7 +204,8 @@ class FileStore:
         return os.pread(self._counts, 4096, 0)
 
     def write_counts(self, data: bytes) -> None:
-        os.pwrite(self._counts, data, 0)  # within a page: a kill comes before it or after it
+        # within a page: a kill comes before it or after it. Not into mapped memory: a disk without room ends who writes there
+        os.pwrite(self._counts, data, 0)
 
     def _sync(self) -> None:
         while not self._closing:
