@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import gzip
 import os
+import struct
+import subprocess
+import sys
 import threading
 import time
 import tty
@@ -18,7 +21,7 @@ import numpy as np
 import pytest
 
 from monitor_arm import DT, meta, motion
-from monitor_process import free_port
+from monitor_process import environment, free_port
 from stopset.cli.main import main
 from stopset.errors import BusError, RecordingError
 from stopset.monitor.links.batch import Batch, Frame
@@ -438,6 +441,24 @@ def test_a_log_whose_time_stands_still_or_is_none_is_refused(stamp: str, word: s
     with pytest.raises(RecordingError, match=word):
         play_log(path, tape.send, 1.0, PROFILE, lambda: 0.0, lambda seconds: None)
     assert len(tape.frames) == 1
+
+
+@pytest.mark.parametrize("version", [1, 9])
+def test_an_object_without_length_does_not_hold_a_reader_for_ever(version: int, tmp_path: Path) -> None:
+    """Found by a fuzzer: python-can reads it again and again, whether it knows its kind or not."""
+    path = tmp_path / "bus.blf"
+    with can.Logger(str(path), compression_level=0) as log:
+        for f in recorded([motion(0, 40)]).frames:
+            log.on_message_received(
+                can.Message(arbitration_id=f.cob_id, data=f.data, timestamp=1.7e9 + f.t, is_extended_id=False)
+            )
+    data = bytearray(path.read_bytes())
+    at = data.index(b"LOBJ", data.index(b"LOBJ", data.index(b"LOBJ") + 4) + 4)  # the second frame in the first container
+    struct.pack_into("<HI", data, at + 6, version, 0)
+    path.write_bytes(data)
+    words = [sys.executable, "-m", "stopset.cli.main", "import", str(path), "--out", str(tmp_path / "rec.parquet")]
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2 and "an object of 0 bytes" in done.stderr
 
 
 def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import gzip
 import math
 import re
+import struct
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO, TextIO, cast
 
 import can
+from can.io.generic import MessageReader
 
 from stopset.errors import RecordingError
 from stopset.monitor.links.batch import Frame
 
+_BLF_HEAD = struct.Struct("<8xI4x")  # of any object in a BLF file: its size
 LOG_SUFFIXES = frozenset({".log", ".asc", ".blf", ".trc"})
 
 
@@ -46,10 +49,30 @@ def _frames(p: Path, suffix: str) -> Iterator[Frame]:
     if suffix == ".log" and (screen := _screen_lines(p)) is not None:
         yield from screen
         return
-    with can.LogReader(str(p), **({"relative_timestamp": False} if suffix == ".asc" else {})) as reader:
+    with _reader(p, suffix) as reader:
         for m in reader:
             if not (m.is_extended_id or m.is_remote_frame or m.is_error_frame):
                 yield Frame(m.arbitration_id, m.data, m.timestamp)
+
+
+def _reader(p: Path, suffix: str) -> MessageReader:
+    if suffix == ".blf":
+        opened = gzip.open if p.suffix.lower() == ".gz" else open
+        return _Blf(cast("BinaryIO", opened(p, "rb")))
+    return can.LogReader(str(p), **({"relative_timestamp": False} if suffix == ".asc" else {}))
+
+
+class _Blf(can.BLFReader):
+    """Refuses an object that says it is shorter than its own head: python-can stays at one of no length for ever."""
+
+    def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+        at, whole = 0, self._tail + data
+        while (at := whole.find(b"LOBJ", at, at + 8)) >= 0 and at + _BLF_HEAD.size <= len(whole):
+            size = _BLF_HEAD.unpack_from(whole, at)[0]
+            if size < _BLF_HEAD.size:
+                raise ValueError(f"an object of {size} bytes, shorter than its head of {_BLF_HEAD.size}")
+            at += size
+        return super()._parse_container(data)
 
 
 # what candump shows on the screen: "(1436509052.249713)  can0  123   [2]  11 22"; with -x "RX - -" before the identifier, with -a
