@@ -1,7 +1,7 @@
 """Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seconds S] [--seed S] [--json FILE] [--kept FILE]``.
 
 Each input is a good one with bytes changed, cut, doubled, spliced, or numbers and brackets put where they hurt. A parser may
-take it or refuse it with an error of stopset's own; anything else is printed with the input that did it. With ``--kept`` every run adds
+take it or refuse it with an error of stopset's own; anything else, and an input that holds it for ever, is printed with the input that did it. With ``--kept`` every run adds
 to what FILE holds, with other inputs, until each parser, those of files too, has had ``--inputs``.
 """
 
@@ -16,6 +16,7 @@ import json
 import logging
 import math
 import random
+import signal
 import socket
 import sqlite3
 import struct
@@ -66,6 +67,7 @@ from stopset.monitor.viewer import View
 from stopset.recording.seen import open_seen
 
 IN_MEMORY = ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer", "hub", "latch", "counts")
+LONGEST = 10.0  # [s] of processor time that an input may take
 PROFILE = load_profile("lwa4p/monitor")
 SPOKEN = ("timestamp", "actual_q", "actual_qd")
 SPICE = [
@@ -432,24 +434,36 @@ def changed(name: str, rng: random.Random, seeds: list[bytes]) -> bytes:
         return data
 
 
+class Stuck(BaseException):
+    """An input has taken more processor time than any may; not an `Exception`, which a parser would take for damage."""
+
+
+def stuck(*_: object) -> None:
+    raise Stuck(f"not done after {LONGEST} s of processor time")
+
+
 def fuzz(
     name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs: int, seed: int, seconds: float = math.inf
 ) -> Counter[str]:
     """Outcomes by kind; foreign ones by the exception's name. Ends early after ``seconds`` of processor time."""
     rng, out, end = random.Random(f"{name} {seed}"), Counter[str](), time.process_time() + seconds
+    before = signal.signal(signal.SIGPROF, stuck)
     for _ in range(inputs):
         if time.process_time() > end:
             break
         data = changed(name, rng, seeds)
         try:
+            signal.setitimer(signal.ITIMER_PROF, LONGEST)
             parse(data)
             out["taken"] += 1
         except StopsetError:
             out["refused"] += 1
-        except Exception as e:  # noqa: BLE001 - what is looked for
+        except (Exception, Stuck) as e:  # noqa: BLE001 - what is looked for
             if out[f"FOREIGN {type(e).__name__}"] == 0:
                 print(f"{name}: {type(e).__name__}: {str(e)[:120]}  by  {data[:120]!r}", flush=True)
             out[f"FOREIGN {type(e).__name__}"] += 1
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
+    signal.signal(signal.SIGPROF, before)
     return out
 
 
