@@ -1,8 +1,8 @@
 """Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seconds S] [--seed S] [--json FILE] [--kept FILE]``.
 
 Each input is a good one with bytes changed, cut, doubled, spliced, or numbers and brackets put where they hurt. A parser may
-take it or refuse it with an error of stopset's own; anything else, and an input that holds it for ever, is printed with the input that did it. With ``--kept`` every run adds
-to what FILE holds, with other inputs, until each parser, those of files too, has had ``--inputs``.
+take it or refuse it with an error of stopset's own; anything else, and an input that holds it for ever, is printed with the input that
+did it. With ``--kept`` every run adds to what FILE holds, with other inputs, until each parser, those of files too, has had ``--inputs``.
 """
 
 from __future__ import annotations
