@@ -33,8 +33,10 @@ static void third_slopes(const Expansion *E, int i, const double *far, const dou
     }
 }
 
-static void inertia(const Expansion *E, const StopsetCurvature *K, const double *mid, const double *rad, const double *far,
-                    const StopsetParts *parts, Local *out) {
+static void inertia(const Near *near, const double *mid, const double *rad, const double *far, Local *out) {
+    const Expansion *E = &near->E;
+    const StopsetCurvature *K = &near->plant->curvature;
+    const StopsetParts *parts = near->parts;
     const int n = E->n;
     double root[SN * SN], third[SN], pairs[SN], bend[SN], extra[SN];
     far_roots(E, far, root);
@@ -128,9 +130,10 @@ static void velocity_terms(const Expansion *E, const double *turn, int i, const 
     out[3] = er;
 }
 
-/* For angles E->q + [x_lo, x_hi] and speeds [w_lo, w_hi]. */
-void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
-                     const double *w_hi, const StopsetParts *parts, Local *out) {
+void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out) {
+    const Expansion *E = &near->E;
+    const StopsetParts *parts = near->parts;
+    const double *of_gravity = near->plant->curvature.g, *x_lo = x->lo, *x_hi = x->hi, *w_lo = w->lo, *w_hi = w->hi;
     const int n = E->n;
     double mid[SN], rad[SN], far[SN], vc[SN], vr[SN], va[SN], v[4];
     Products speeds;
@@ -147,14 +150,14 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         out->v[k] = vc[k];
         out->v_rad[k] = vr[k];
     }
-    inertia(E, K, mid, rad, far, parts, out);
+    inertia(near, mid, rad, far, out);
     products(n, vc, vr, va, &speeds);
     for (int i = 0; i < n; i++) {
         double g = E->g[i], r = size_of(E->gp[i]);
         for (int k = 0; k < n; k++) {
             g += parts->gravity_slope * E->dg[i * n + k] * mid[k];
             double second = 0.0;
-            for (int o = 0; o < n; o++) second += K->g[(i * n + k) * n + o] * far[o];
+            for (int o = 0; o < n; o++) second += of_gravity[(i * n + k) * n + o] * far[o];
             r += parts->gravity_slope * (size_of(E->dg[i * n + k]) * rad[k] + (size_of(E->dgp[i * n + k]) + 0.5 * second) * far[k]);
         }
         velocity_terms(E, out->turn, i, &speeds, v);
@@ -168,17 +171,30 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
     }
 }
 
-int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const StopsetParts *parts,
-                        double *M, double *dM, double *turn) {
+void stops_span(int n, const double *lo, const double *hi, Span *out) {
+    memcpy(out->lo, lo, (size_t)n * sizeof *lo);
+    memcpy(out->hi, hi, (size_t)n * sizeof *hi);
+}
+
+void stops_look_at(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, int rotors, Near *out) {
     const int n = plant->arm.n;
-    const double none[SN] = {0};
-    Expansion E;
-    Local at;
+    Span x, v = {{0}, {0}};
+    out->plant = plant;
+    out->parts = parts;
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, box->q, &out->E);
+    for (int i = 0; rotors && i < n; i++) out->E.Mp[i * (n + 1)] += plant->rotor_half[i];
+    stops_span(n, box->x_lo, box->x_hi, &x);
+    if (box->v_lo) stops_span(n, box->v_lo, box->v_hi, &v);
+    stops_box_terms(out, &x, &v, &out->at);
+}
+
+int stopset_inertia_box(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, double *M, double *dM, double *turn) {
+    const int n = plant->arm.n;
+    Near near;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
-    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, parts, &at);
-    memcpy(M, at.M, (size_t)(n * n) * sizeof *M);
-    memcpy(dM, at.dM, (size_t)(n * n) * sizeof *dM);
-    memcpy(turn, at.turn, (size_t)(n * n * n) * sizeof *turn);
+    stops_look_at(plant, box, parts, 0, &near);
+    memcpy(M, near.at.M, (size_t)(n * n) * sizeof *M);
+    memcpy(dM, near.at.dM, (size_t)(n * n) * sizeof *dM);
+    memcpy(turn, near.at.turn, (size_t)(n * n * n) * sizeof *turn);
     return STOPSET_OK;
 }
