@@ -111,7 +111,10 @@ static void bends(const Bodies *b, double *ddM) {
                     const Wrench along_with = behind(b, k, w, v);
                     y = less(y, &along_with);
                 }
-                for (int i = 0; i <= j && i < o; i++) ddM[pair(i, j) * PAIRS + pair(o, k)] = along(b, i, &y);
+                for (int i = 0; i <= j && i < o; i++) {
+                    const int m = n - 1 - i, at = bends_of(n, i, j);
+                    ddM[at + (k - i - 1) * m + o - i - 1] = ddM[at + (o - i - 1) * m + k - i - 1] = along(b, i, &y);
+                }
             }
         }
     }
@@ -188,7 +191,7 @@ static void slopes(Bodies *b, const double *pi, const double *gravity, const Sto
     for (int i = 0; i < n; i++)
         for (int k = 0; k < n; k++)
             for (int j = 0; j < n; j++)
-                Gamma[(i * n + k) * n + j] = 0.5 * (dM[(i * n + k) * n + j] + dM[(i * n + j) * n + k] - dM[(k * n + j) * n + i]);
+                Gamma[(k * n + j) * n + i] = 0.5 * (dM[(i * n + k) * n + j] + dM[(i * n + j) * n + k] - dM[(k * n + j) * n + i]);
 }
 
 void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E) {
@@ -235,11 +238,14 @@ int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *r
     memcpy(middle->dM, E.dM, three);
     memcpy(middle->g, E.g, one);
     memcpy(middle->dg, E.dg, two);
-    memcpy(middle->Gamma, E.Gamma, three);
+    for (int i = 0; i < n; i++)
+        for (int k = 0; k < n * n; k++) {
+            middle->Gamma[i * n * n + k] = E.Gamma[k * n + i];
+            half->Gamma[i * n * n + k] = E.Gammap[k * n + i];
+        }
     memcpy(half->M, E.Mp, two);
     memcpy(half->dM, E.dMp, three);
     memcpy(half->g, E.gp, one);
     memcpy(half->dg, E.dgp, two);
-    memcpy(half->Gamma, E.Gammap, three);
     return STOPSET_OK;
 }

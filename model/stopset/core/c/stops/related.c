@@ -174,8 +174,8 @@ void stops_slopes(const Near *near, const double *size, Along *A, double *push, 
 
 /* Second slope d2 M_ij / dq_k dq_l at the pose. */
 static double second(const Expansion *E, int i, int j, int k, int l) {
-    const int a = i < j ? i : j, b = i < j ? j : i, m = k < l ? k : l, o = k < l ? l : k;
-    return m > a ? E->ddM[pair(a, b) * PAIRS + pair(m, o)] : 0.0;
+    const int a = i < j ? i : j, b = i < j ? j : i;
+    return k > a && l > a ? E->ddM[bends_of(E->n, a, b) + (k - a - 1) * (E->n - 1 - a) + l - a - 1] : 0.0;
 }
 
 /* Columns of the Coriolis torque of joint i; its middle, and what is beyond, added. */
@@ -188,17 +188,17 @@ static void coriolis(const Near *near, int i, Relation *x, double *middle, doubl
         for (int o = 0; o < n; o++) {
             const int ik = (i * n + k) * n + o, io = (i * n + o) * n + k, ko = (k * n + o) * n + i;
             const double c = at->v[k], r = at->v_rad[k], b = at->v[o], t = at->v_rad[o], spread = size_of(c) * t + r * size_of(b) + r * t;
-            double G = E->Gamma[ik], slopes = 0.0;
+            double G = E->Gamma[ko], slopes = 0.0;
             for (int l = 0; l < n; l++) {
                 const double slope = 0.5 * (second(E, i, k, o, l) + second(E, i, o, k, l) - second(E, k, o, i, l));
                 G += slope * at->x[l];
                 slopes += size_of(slope) * at->rad[l];
                 turns[l] += slope * at->rad[l] * c * b;
             }
-            turns[n] += E->Gammap[ik] * c * b;
+            turns[n] += E->Gammap[ko] * c * b;
             x->speeds[i * SLOPES + k] += 2.0 * G * b * r;
             *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
-            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ik])) * spread;
+            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ko])) * spread;
             *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
         }
 }

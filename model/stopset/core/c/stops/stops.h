@@ -15,24 +15,31 @@ static inline double size_of(double x) { return fabs(x); } /* an instruction, wh
 /* Place of two joints, a <= b, among all pairs. */
 static inline int pair(int a, int b) { return b * (b + 1) / 2 + a; }
 #define STOPS_INF (1.0 / 0.0)
+/* Where the second slopes of M_ij, i <= j, begin among all: m x m of each, m = n - 1 - i, as those of joints up to i are zero. */
+static inline int bends_up_to(int m) { return m * (m + 1) / 2 * (m * (m + 1) / 2) + m * (m + 1) * (2 * m + 1) / 6; }
+static inline int bends_of(int n, int i, int j) {
+    const int m = n - 1 - i;
+    return bends_up_to(n - 1) - bends_up_to(m) + (j - i) * m * m;
+}
+enum { LANES = 4, BENDS = (SN - 1) * SN / 2 * ((SN - 1) * SN / 2) + (SN - 1) * SN * (2 * SN - 1) / 6 };
 
 /* Inertia, gravity and Christoffel symbols at a pose and their slopes, of the middle payload and of half its range (p: all zero
- * unless `loaded`). ddM: d2 M_ij/dq_k dq_l by pair(i, j), pair(k, l), where k > i. root[a, b], a <= b, L_ab: no less than the root of
+ * unless `loaded`). ddM: d2 M_ij/dq_k dq_l, k, l > i, at bends_of(n, i, j) + (k - i - 1) (n - 1 - i) + l - i - 1. root[a, b], a <= b, L_ab: no less than the root of
  * the inertia, rotors apart, about axis a of what is behind joint b, whatever the payload; solid: whether from joint b on all
- * parameters are those of bodies of positive masses. */
+ * parameters are those of bodies of positive masses. Gamma: of joint i at [k, l, i]. */
 typedef struct {
     int n, loaded, solid[SN];
     double q[SN], M[SN * SN], dM[SN * SN * SN], Mp[SN * SN], dMp[SN * SN * SN], g[SN], dg[SN * SN], gp[SN], dgp[SN * SN],
-        Gamma[SN * SN * SN], Gammap[SN * SN * SN], ddM[PAIRS * PAIRS], ddMp[PAIRS * PAIRS], root[SN * SN];
+        Gamma[SN * SN * SN], Gammap[SN * SN * SN], ddM[BENDS + LANES], ddMp[BENDS + LANES], root[SN * SN];
 } Expansion;
 
 /* Over a box of angles and speeds: inertia M +- M_rad (middle payload), Mp +- Mp_rad (half its range), dM: all of its
  * uncertainty; h: Coriolis and gravity torque; e: 1/2 v' dM/dq_i v - g_i; g: gravity alone; turn: how far dM_ij/dq_k can be from the
- * pose's, rest: from what its slopes there tell; x +- rad: the box of angles, from the pose on, v +- v_rad: that of speeds. */
+ * pose's, turn_of: the same at [j, k, i], rest: from what its slopes there tell; x +- rad: the box of angles, from the pose on, v +- v_rad: that of speeds. */
 typedef struct {
     int n;
     double M[SN * SN], M_rad[SN * SN], Mp[SN * SN], Mp_rad[SN * SN], dM[SN * SN], h_lo[SN], h_hi[SN], e_lo[SN], e_hi[SN],
-        g_lo[SN], g_hi[SN], turn[SN * SN * SN], rest[SN * SN * SN], x[SN], rad[SN], v[SN], v_rad[SN];
+        g_lo[SN], g_hi[SN], turn[SN * SN * SN], turn_of[SN * SN * SN], rest[SN * SN * SN], x[SN], rad[SN], v[SN], v_rad[SN];
 } Local;
 
 /* Speed bounds of every joint, apart for its first excursion and for later. */
@@ -91,7 +98,7 @@ void stops_pivot(int n, double *A, int k, int into);
 void stops_turn_over(int n, double *A, int k, int into); /* of the transposed matrix, stride SN; some rows beyond n are written too */
 /* A symmetric matrix and its slopes in all angles and in the payload, each times its half range: entries apart from the diagonal, (n, n) with
  * stride SN and the diagonal zero, then those on it; slopes by pair(i, j), LANES of them side by side. What is beyond n is zero. */
-enum { LANES = 4, GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
+enum { GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
 typedef struct {
     double own[SN], value[SN * SN];
     Four slope[GROUPS][PAIRS];
