@@ -23,7 +23,9 @@ from stopset.sets import Box
 from stopset.types import Array
 
 COLUMNS = 10  # of the heat-map
+VISIBLE = 0.02  # of a bar: what is less stands on none
 DOTS = 1000  # of a partial residual
+LISTED = 50  # violations
 
 
 def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: Explained | None = None) -> Page:
@@ -51,19 +53,25 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
 
 
 def bars(found: Comparison) -> go.Figure:
-    """Torque error of each joint over what its repetitions differ by, the one that fails most first."""
+    """Torque error of each joint over what its repetitions differ by, the one that fails most first.
+
+    What the abstraction makes simpler stands on top: the model knows it, so it is no failure.
+    """
     rows = by_failure(found)
-    figure = go.Figure(
-        [
-            go.Bar(name="torque error", x=[j for j, _ in rows], y=[r["torque_rmse"] for _, r in rows], marker_color=COLOURS[0]),
-            go.Scatter(
-                name="repeatability floor", x=[j for j, _ in rows], y=[r["torque_rmse_floor"] for _, r in rows], mode="markers",
-                marker={"symbol": "line-ew", "size": 40, "line": {"width": 3, "color": COLOURS[1]}},
-            ),
-        ]
+    names = [j for j, _ in rows]
+    full, whole = [in_full(r) for _, r in rows], [r["torque_rmse"] for _, r in rows]
+    rest = [max(w - f, 0.0) if f is not None and w is not None else None for f, w in zip(full, whole, strict=True)]
+    floor = go.Scatter(
+        name="repeatability floor", x=names, y=[r["torque_rmse_floor"] for _, r in rows], mode="markers",
+        marker={"symbol": "line-ew", "size": 40, "line": {"width": 3, "color": COLOURS[1]}},
     )  # fmt: skip
+    figure = go.Figure([go.Bar(name="torque error", x=names, y=full, marker_color=COLOURS[0])])
+    if any(r and f and r > VISIBLE * f for r, f in zip(rest, full, strict=True)):
+        simpler = {"color": "#dfe7ee", "line": {"color": COLOURS[0], "width": 1}}
+        figure.add_trace(go.Bar(name="what the abstraction leaves out, in U", x=names, y=rest, marker=simpler))
+    figure.add_trace(floor)
     figure.update_yaxes(title_text="torque RMS [N m]", rangemode="tozero")
-    figure.update_layout(height=300, legend={"orientation": "h", "y": 1.15})
+    figure.update_layout(barmode="stack", height=300, legend={"orientation": "h", "y": 1.02, "yanchor": "bottom"})
     return figure
 
 
@@ -186,9 +194,11 @@ def _same(a: UncertaintySets, b: UncertaintySets) -> bool:
 
 
 def _violations(out: Page, found: Comparison) -> None:
-    if found.violations:
-        out.heading("Violations")
-        worst = sorted(found.violations, key=lambda v: -v.relative)[:50]
+    if not found.violations:
+        return
+    worst = sorted(found.violations, key=lambda v: -v.relative)[:LISTED]
+    of = f"the worst {LISTED} of {len(found.violations)}" if len(found.violations) > LISTED else f"{len(worst)}"
+    with out.fold(f"Violations: {of}"):
         out.table(
             ["recording", "state", "side", "from [s]", "age [s]", "excess", "unit", "excess / half-width"],
             [[v.recording, v.state, v.side, v.start_s, v.age_s, v.excess, v.unit, v.relative] for v in worst],

@@ -37,7 +37,7 @@ def verdict(found: Comparison) -> ComparisonVerdict:
             f"Not covered: all {count} recordings leave the model's domain, where it promises nothing.", "bad",
             "compare with recordings inside the domain (see the table at the end), or identify with these.",
         )  # fmt: skip
-    left = f" {beyond} of them leave the model's domain, where it promises nothing." if beyond else ""
+    left = f" {beyond} of the {count} leave the model's domain, where it promises nothing." if beyond else ""
     if out:
         where = where or _left(found)
         text = f"{where}Not conformant: {out} of {count} recordings leave the predicted sets.{left}"
