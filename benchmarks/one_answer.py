@@ -13,6 +13,7 @@ identification, and of a diagnosis of these names only.  What contradicts what t
     python benchmarks/one_answer.py count --out OUT
 
 Of other recordings than the model's own an identification is not asked: it has no model to measure them against.
+Answers are kept in OUT, so a run may be broken off and taken up again.
 Levels that have changed since identification (friction, scale) are no effects to add: they are not asked.
 """
 
@@ -128,17 +129,27 @@ def simulated(arm: str, name: str, seed: int) -> dict[str, Any]:
     return contradictions(robot, model, data, own=not pair)
 
 
-def real(folder: Path, shipped: str, most: int | None) -> Iterator[tuple[str, dict[str, Any]]]:
-    """A robot's own recording, then every other one against its model; ``shipped``: the arm where the folder has no description."""
+def real(folder: Path, shipped: str, most: int | None, out: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A robot's own recording, then every other one against its model, but for those that ``out`` has; ``shipped``: the arm where
+    the folder has no description."""
     urdf, paths = folder / "robot.urdf", sorted(folder.glob("*.parquet"))
     robot = load_robot(urdf if urdf.exists() else shipped)
     first = next((p for p in paths if p.stem == "identification"), paths[0])
+    open_ones = [p for p in paths if not answer_file(out, folder, "own" if p == first else p.stem).exists()]
+    if not open_ones:
+        return
     own = read_recordings(first, robot)
     model = identified(robot, campaign(own), Settings()).model
-    yield "own", contradictions(robot, model, own, own=True, most=most)
-    for path in paths:
-        if path != first:
+    for path in open_ones:
+        if path == first:
+            yield "own", contradictions(robot, model, own, own=True, most=most)
+        else:
             yield path.stem, contradictions(robot, model, read_recordings(path, robot), own=False, most=most)
+
+
+def answer_file(out: Path, folder: Path, name: str) -> Path:
+    """Where the answer to one recording of a folder is kept."""
+    return out / f"{folder.name}_{name}.json"
 
 
 def count(out: Path) -> None:
@@ -182,8 +193,8 @@ def main() -> None:
             print(file.stem, answer["verdict"], answer.get("named"), answer.get("contradictions"), flush=True)
     elif args.command == "real":
         for folder in map(Path, args.where):
-            for name, answer in real(folder, args.arm, args.most):
-                (args.out / f"{folder.name}_{name}.json").write_text(json.dumps(answer, default=str))
+            for name, answer in real(folder, args.arm, args.most, args.out):
+                answer_file(args.out, folder, name).write_text(json.dumps(answer, default=str))
                 print(folder.name, name, answer["verdict"], answer.get("named"), answer.get("contradictions"), flush=True)
     count(args.out)
 

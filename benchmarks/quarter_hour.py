@@ -1,10 +1,11 @@
 """What each command takes on fifteen minutes of six joints at 100 Hz, and the longest time it says nothing.
 
 The recordings are played again and again, each time with other sensor noise, until they are that long: fewer motions than fifteen
-minutes would hold, as many rows.  Processor time is that of the command; the silence is on the machine's clock, busy or not.  Answers are kept in
-WORK, so a run may be broken off and taken up again.
+minutes would hold, as many rows.  Processor time is that of the command and all its processes; silence is the longest time between two of its
+words, by its processor time (what a machine with nothing else to do would show, or less where it works in parallel) and by the clock.
+Answers are kept in WORK, so a run may be broken off and taken up again.  Linux: processor time is read from /proc.
 
-    python benchmarks/quarter_hour.py ROBOT RECORDINGS... --work WORK
+    python benchmarks/quarter_hour.py ROBOT RECORDINGS... --work WORK [--only COMMAND,...]
 """
 
 from __future__ import annotations
@@ -46,6 +47,25 @@ def lengthened(trials: Sequence[Recording]) -> list[Recording]:
     return out
 
 
+def used(pid: int) -> float:
+    """Processor time [s] of a process and all that it started, so far."""
+    times, children = dict[int, float](), dict[int, list[int]]()
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):  # it has just ended
+            continue
+        one = int(stat.parent.name)
+        times[one] = sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")  # its own and that of children that have ended
+        children.setdefault(int(fields[1]), []).append(one)
+    total, rest = 0.0, [pid]
+    while rest:
+        one = rest.pop()
+        total += times.get(one, 0.0)
+        rest += children.get(one, [])
+    return total
+
+
 def asked(words: Sequence[str]) -> dict[str, Any]:
     """Exit code, processor and wall time and the longest silence [s] of a command."""
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
@@ -54,22 +74,32 @@ def asked(words: Sequence[str]) -> dict[str, Any]:
     )
     assert process.stdout is not None
     heard, silence, last = begun, 0.0, b""
+    worked, idle, between = (
+        0.0,
+        0.0,
+        ("start", "start"),
+    )  # processor time at the last word, longest without one, and between which words
     while True:
         select.select([process.stdout], [], [])
         said = os.read(process.stdout.fileno(), 65536)
-        now = time.monotonic()
+        now, work = time.monotonic(), used(process.pid)
         silence, heard = max(silence, now - heard), now
+        if work - worked > idle:
+            idle, between = work - worked, (last.decode(errors="replace")[-80:], said.decode(errors="replace")[:80])
+        worked = work
         if not said:
             break
         last = said
     code = process.wait()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    total = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     out: dict[str, Any] = {
         "exit": code,
-        "processor s": round(used, 1),
+        "processor s": round(total, 1),
         "wall s": round(now - begun, 1),
-        "silent s": round(silence, 1),
+        "silent, processor s": round(idle, 1),
+        "silent, wall s": round(silence, 1),
+        "silent between": between,
     }
     return out if code < 2 else out | {"said": last.decode(errors="replace")[-300:]}
 
@@ -99,6 +129,7 @@ def main() -> None:
     parser.add_argument("robot")
     parser.add_argument("recordings", nargs="+")
     parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--only", default="", help="commands, comma-separated")
     args = parser.parse_args()
     args.work.mkdir(parents=True, exist_ok=True)
     data, answers = args.work / "fifteen.parquet", args.work / "answers.json"
@@ -106,7 +137,7 @@ def main() -> None:
         recordings = read_recordings(args.recordings, load_robot(args.robot))
         write_recordings(data, recordings.meta, lengthened([r for r in recordings if r.phase != "static"]))
     found: dict[str, Any] = json.loads(answers.read_text()) if answers.exists() else {}
-    for command in COMMANDS:
+    for command in (c for c in COMMANDS if not args.only or c in args.only.split(",")):
         if command not in found:
             words = words_of(command, args.robot, str(data), args.work)
             found[command] = asked(words) if words else "nothing is named"

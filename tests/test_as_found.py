@@ -303,7 +303,7 @@ def test_a_revision_that_widens_the_torque_sets_is_refused() -> None:
 
 
 def test_what_is_no_claim() -> None:
-    delay, heating, load, gear = map(get, ("delay", "self_heating", "load_coulomb", "elasticity"))
+    delay, heating, load, gear, body = map(get, ("delay", "self_heating", "load_coulomb", "elasticity", "payload"))
     assert "twice its error" in objection(delay, {"d": 0.051}, {"d": 0.082}, 60.0)
     assert "at the end" in objection(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 0.5}, {"k_v": 1.7, "k_c": 0.1}, 60.0)
     near = {"k_v": -17.0, "k_c": -0.4, "tau_w": 0.52}  # as a real UR10e's shoulder was said to warm up
@@ -314,6 +314,14 @@ def test_what_is_no_claim() -> None:
     shape = {"K": 6588.0, "D": 199.0}
     assert "times what such a gear makes" in objection(gear, {"share": 1.5, **shape}, {"share": 0.06}, 60.0)
     assert objection(gear, {"share": 1.05, **shape}, {"share": 0.005}, 60.0) == ""
+    nothing = {t.symbol: 0.0 for t in body.terms}
+    # a healthy arm weeks later: a moment of five times its error, and no mass
+    assert "its mass is not" in objection(
+        body, nothing | {"m": -0.048, "mz": 0.011}, dict.fromkeys(nothing, 0.001) | {"m": 0.04, "mz": 0.002}, 30.0
+    )
+    assert (
+        objection(body, nothing | {"m": 0.5, "mz": 0.011}, dict.fromkeys(nothing, 0.001) | {"m": 0.04, "mz": 0.002}, 30.0) == ""
+    )
 
 
 @pytest.mark.shared

@@ -18,14 +18,14 @@ from stopset.artifact.inputs import memories_after, memories_along
 from stopset.effects.signals import Samples
 from stopset.fmu import Contents, export
 from stopset.monitor.along import watch_for
-from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.sample import Quantum
 from stopset.monitor.verdict import Conformance
 from stopset.offline.abstraction import build
 from stopset.reach.nonlinear import FAR, nominal, predicted_tube
 from stopset.reach.predict import predict
 from stopset.types import Array
 from test_fmu import EFFECTS, HERE, friction
-from test_fmu_watch import TEMP, connect, swinging
+from test_fmu_watch import TEMP, connect, swinging, verdicts
 
 pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
@@ -113,38 +113,15 @@ def driven(model: Model, rows: int, h: float) -> tuple[Array, Array, Array]:
     return q, dq, strong + (u - model.input(q, dq, strong, temp=temp, t=t[:, 0])) * model.input.gain
 
 
-SAID = {Conformance.UNKNOWN: 0, Conformance.CONFORMANT: 1, Conformance.VIOLATION: 2}
-
-
 @pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("push", [0.3, 3.0])
 @pytest.mark.parametrize("name", MODELS)
 def test_every_sample_s_verdict_is_the_monitor_s(exported: Any, name: str, push: float, every: int) -> None:
     """Also where the grid is coarser than the samples; torque of half of U and beyond it, one sample outside the domain."""
     model = MODELS[name]()
-    n, h, rows = model.n, model.powered.dt / every, 60 * every
-    q, dq, tau = driven(model, rows, h)
-    rng, V, U = np.random.default_rng(7), model.powered.V, model.powered.U
-    tau = tau - push * U.hi * (np.sin(0.1 * np.arange(rows)) > 0.0)[:, None]
-    q, dq = q + 0.3 * rng.uniform(V.lo[:n], V.hi[:n], q.shape), dq + 0.3 * rng.uniform(V.lo[n:], V.hi[n:], q.shape)
-    temp = np.full((rows, n), TEMP)
-    temp[20, 1] = 60.0
-    watch, seen = watch_for(model, Quantum.none(n), None, (0.0, 1.0), h), set()
-    with unit(exported(model, name)) as u:
-        # the unit's own prediction is not what is compared here: it begins where the arm never is refuted
-        u.set(dict(zip([f"{s}_start_{j}" for s in ("q", "dq") for j in model.joints], [*q[0], *dq[0]], strict=True)))
-        connect(u, model, q[0], dq[0], tau[0])
-        u.begin()
-        for k in range(rows):
-            connect(u, model, q[k], dq[k], tau[k], temp[k, 1])
-            u.step(h)
-            want = watch.step(Sample(k, k * h, q[k], dq[k], tau[k], temp[k]))
-            got = u.get("verdict")
-            assert got == SAID[want.conformance] or (k == 0 and got in (0, 1)), (k, want)
-            seen.add(want.conformance)
-            if want.conformance is Conformance.VIOLATION:
-                assert u.get("violated_joint") in {model.joints.index(d.joint) + 1 for d in want.deviations}
-                break
+    h = model.powered.dt / every
+    watch = watch_for(model, Quantum.none(model.n), None, (0.0, 1.0), h)
+    seen = verdicts(exported(model, name), watch, driven(model, 60 * every, h), h, push, first=(0, 1))
     assert (push > 1.0) == (Conformance.VIOLATION in seen), seen
     assert push > 1.0 or Conformance.CONFORMANT in seen
 

@@ -518,15 +518,19 @@ def test_a_disk_that_refuses_is_said_and_asked_again(tmp_path: Path) -> None:
     assert "it goes on when" in recorder.trouble or "could not be written" in recorder.trouble
 
 
+def altered_cell(folder: Path) -> tuple[Path, Path, int, int]:
+    """A monitor's configuration, the recording of an altered arm to play to it, and the ports of bus and zenoh."""
+    model, rec = folder / "arm.model.json", folder / "altered.parquet"
+    save_model(known_model(), model)
+    write_recordings(rec, meta(), [altered()])
+    bus, port = free_port(), free_port()
+    return write_config(folder, model, f'[bus]\nlink = "hub:{bus}"\nwait_s = 60', port), rec, bus, port
+
+
 @pytest.mark.slow
 def test_a_full_disk_does_not_stop_the_heartbeat(tmp_path: Path) -> None:
     """A real monitor that may write 48 kB into any file: the journal of the latch fits, the records do not."""
-    model = tmp_path / "arm.model.json"
-    save_model(known_model(), model)
-    rec = tmp_path / "altered.parquet"
-    write_recordings(rec, meta(), [altered()])
-    bus, port = free_port(), free_port()
-    config = write_config(tmp_path, model, f'[bus]\nlink = "hub:{bus}"\nwait_s = 60', port)
+    config, rec, bus, port = altered_cell(tmp_path)
     config.write_text(config.read_text() + "[record]\ncontinuous = true\n[stops]\ncategories = ['0']\n")
     small = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (49152, 49152)); from stopset.cli.main import main; "
     words = [sys.executable, "-c", small + "sys.exit(main(sys.argv[1:]))", "monitor", "--config", str(config)]
@@ -548,12 +552,7 @@ def test_a_full_disk_does_not_stop_the_heartbeat(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_violation_is_on_the_disk_before_it_is_told(tmp_path: Path) -> None:
     """Real processes, CAN frames and zenoh; the file is read by who hears of it."""
-    model = tmp_path / "arm.model.json"
-    save_model(known_model(), model)
-    rec = tmp_path / "altered.parquet"
-    write_recordings(rec, meta(), [altered()])
-    bus, port = free_port(), free_port()
-    config = write_config(tmp_path, model, f'[bus]\nlink = "hub:{bus}"\nwait_s = 60', port)
+    config, rec, bus, port = altered_cell(tmp_path)
     with (
         running("monitor", "--config", str(config)),
         running("replay", str(rec), "--to", f"hub:{bus}", "--wait", "1"),
@@ -563,7 +562,9 @@ def test_a_violation_is_on_the_disk_before_it_is_told(tmp_path: Path) -> None:
         (event, *_) = [e for e in ear.events if e["kind"] == "bundle"]
         data = Path(event["file"]).read_bytes()
         assert hashlib.sha256(data).hexdigest() == event["sha256"]
-        assert event["cause"]["kind"] == "missing_effect" and event["model_sha256"] == load_model(model).sha256
+        assert (
+            event["cause"]["kind"] == "missing_effect" and event["model_sha256"] == load_model(tmp_path / "arm.model.json").sha256
+        )
         assert ear.wait(lambda: any(t["violation_class"] == "missing_effect" for t in list(ear.twins)))
         seen = topics(Path(event["file"]))
         assert {f["id"] for f in seen["stopset/can"]} >= {0x080, 0x383, 0x483}

@@ -60,7 +60,8 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = verdict_of(found, left)
     if verdict == "missing" and not ranked:
-        verdict = "unknown" if any(r.objection for r in x.ranked) else "none"
+        refuted = [c for c, r in zip(found.claims, x.ranked, strict=True) if r.objection]
+        verdict = "unknown" if any(max(c.excess_before) > limit.SENSORS for c in refuted) else "none"
     blind = blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names)
     rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints

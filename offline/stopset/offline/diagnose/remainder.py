@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.hypothesis import Hyper
 from stopset.offline.diagnose.explain.residual import Dependence, dependences, slow_excess
@@ -60,10 +62,21 @@ def _contradicts(rest: Dependence, found: Found, joint: int) -> bool:
     Evidence alone would not do: it saturates where a claim takes nearly all away, and what a law leaves whose form is a little off
     (a dress pack that stiffens is no straight spring) is still large beside the sensors' noise.
     """
-    claims = [c for c in found.claims if not c.joints or joint in c.joints]
-    taken = sum(max(0.0, c.excess_before[joint] - c.excess_after[joint]) for c in claims)
+    claims = _at(found, joint)
+    by_evidence = rest.gain > limit.PATTERN_SHARE * sum(c.score for c in claims)
+    return bool(claims) and by_evidence and pattern_size(rest, found, joint) > limit.PATTERN_SIZE
+
+
+def pattern_size(rest: Dependence, found: Found, joint: int) -> float:
+    """Variance of a pattern left at a joint over what its claims took away."""
+    taken = sum(max(0.0, c.excess_before[joint] - c.excess_after[joint]) for c in _at(found, joint))
     left = rest.share * found.excess[joint]
-    return bool(claims) and rest.gain > limit.PATTERN_SHARE * sum(c.score for c in claims) and left > limit.PATTERN_SIZE * taken
+    return left / taken if taken else (np.inf if left > 0 else 0.0)
+
+
+def _at(found: Found, joint: int) -> list[Claim]:
+    """The claims that act at a joint."""
+    return [c for c in found.claims if not c.joints or joint in c.joints]
 
 
 def verdict_of(found: Found, left: Left) -> str:

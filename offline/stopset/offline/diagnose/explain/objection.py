@@ -11,9 +11,12 @@ from stopset.offline.diagnose import thresholds as limit
 def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
     """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded."""
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
-    if all(abs(v) <= limit.SURE * s for v, s in sizes.values() if s > 0) and any(s > 0 for _, s in sizes.values()):
+    # of a body its mass decides: moments and inertias without one are the description's errors in other words
+    telling = [sizes[effect.terms[0].symbol]] if effect.carried else list(sizes.values())
+    if all(abs(v) <= limit.SURE * s for v, s in telling if s > 0) and any(s > 0 for _, s in telling):
         said = ", ".join(f"{k} = {v:.3g} +- {s:.2g}" for k, (v, s) in sizes.items())
-        return f"no number of it is larger than twice its error ({said})"
+        which = "its mass is not" if effect.carried else "no number of it is"
+        return f"{which} larger than twice its error ({said})"
     for t in effect.terms:
         v, s = sizes[t.symbol]
         if v < t.lo - limit.SURE * s or v > t.hi + limit.SURE * s:
