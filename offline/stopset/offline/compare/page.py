@@ -13,7 +13,7 @@ from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
 from stopset.offline.compare.dependence import SAME, Explained, explained, partial_residual, strongest_first
 from stopset.offline.compare.tubes import chosen, left, tubes
-from stopset.offline.compare.verdict import AT_THE_FLOOR, above, by_failure, in_full, verdict
+from stopset.offline.compare.verdict import above, by_failure, failing, in_full, verdict
 from stopset.offline.conform.bands import narrower
 from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.guarantee import guarantee
@@ -78,7 +78,7 @@ def bars(found: Comparison) -> go.Figure:
 def _errors(out: Page, model: Model, found: Comparison) -> None:
     out.heading("Errors per joint, the one that fails most first")
     rows = by_failure(found)
-    fails = [j for j, r in rows if (above(r) or 0.0) > AT_THE_FLOOR][:1]
+    fails = failing(found)
     with out.beside():
         out.figure(bars(found), least_width=420)
         out.picture(
@@ -108,16 +108,16 @@ def _errors(out: Page, model: Model, found: Comparison) -> None:
 
 def _heat_map(out: Page, model: Model, shares: Explained) -> None:
     out.heading("What the torque error depends on")
+    worst = [j for j in np.argsort(-shares.share.max(axis=1))[:3] if shares.share[j].max() > SAME]
+    if not worst:
+        out.text("No variable explains anything of it, or these recordings are too short to tell.")
+        return
     order = strongest_first(shares)[:COLUMNS]
     names = [shares.variables[k] for k in order]
     out.shares(
         model.joints, names, shares.share[:, order],
         "Percent of each joint's squared torque error that each variable alone explains on stretches it was not fitted to",
     )  # fmt: skip
-    worst = [j for j in np.argsort(-shares.share.max(axis=1))[:3] if shares.share[j].max() > SAME]
-    if not worst:
-        out.text("No variable explains anything of it, or these recordings are too short to tell.")
-        return
     panels = make_subplots(rows=1, cols=len(worst), subplot_titles=[model.joints[j] for j in worst])
     for column, j in enumerate(worst, start=1):
         p = partial_residual(shares, int(j))
