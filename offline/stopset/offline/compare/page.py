@@ -215,11 +215,12 @@ def _ranking(out: Page, model: Model, found: Comparison) -> None:
     floor = np.array([row["torque_rmse_floor"] or _known(model, j) for j, row in found.figures.items()])
     motions: dict[int, list[Array]] = {}
     for row in found.rows:
-        motions.setdefault(row.motion, []).append(row.torque_rms)
-    mean = {m: np.sqrt(np.nanmean(np.square(v), axis=0)) for m, v in motions.items()}
-    ranked = sorted(mean, key=lambda m: -float(np.nanmax(mean[m] / floor)))
+        if np.isfinite(row.torque_rms).all():  # a stretch shorter than what is averaged over tells none
+            motions.setdefault(row.motion, []).append(row.torque_rms)
+    mean = {m: np.sqrt(np.mean(np.square(v), axis=0)) for m, v in motions.items()}
+    ranked = sorted(mean, key=lambda m: -float(np.max(mean[m] / floor)))
     rows = [
-        [f"motion {m}", len(motions[m]), model.joints[int(np.nanargmax(mean[m] / floor))], *mean[m].tolist()] for m in ranked[:20]
+        [f"motion {m}", len(motions[m]), model.joints[int(np.argmax(mean[m] / floor))], *mean[m].tolist()] for m in ranked[:20]
     ]
     out.table(
         ["", "trials", "worst joint", *(f"{j} [N m]" for j in model.joints)],
