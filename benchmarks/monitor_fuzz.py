@@ -25,12 +25,15 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import cache, reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import can
+import msgspec
 import numpy as np
 import zstandard
 from mcap.writer import CompressionType, Writer
@@ -62,7 +65,7 @@ from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View
 from stopset.recording.seen import open_seen
 
-IN_MEMORY = ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer", "hub", "latch")
+IN_MEMORY = ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer", "hub", "latch", "counts")
 PROFILE = load_profile("lwa4p/monitor")
 SPOKEN = ("timestamp", "actual_q", "actual_qd")
 SPICE = [
@@ -101,53 +104,60 @@ TERRIBLE = [
 ]  # fmt: skip
 
 
-def places(tree: object) -> list[tuple[Any, Any]]:
-    """Every container of a JSON tree with each of its keys."""
-    found, todo = [], [tree]
+@cache
+def places(data: bytes) -> list[tuple[str | int, ...]]:
+    """The way from the root to every value of a JSON tree."""
+    found: list[tuple[str | int, ...]] = []
+    todo: list[tuple[object, tuple[str | int, ...]]] = [(msgspec.json.decode(data), ())]
     while todo:
-        x = todo.pop()
-        keys = list(x) if isinstance(x, dict) else range(len(x)) if isinstance(x, list) else []
-        found += [(x, k) for k in keys]
-        todo += [x[k] for k in keys]  # type: ignore[index]
+        x, here = todo.pop()
+        inside = list(x.items()) if isinstance(x, dict) else list(enumerate(x)) if isinstance(x, list) else []
+        found += [(*here, k) for k, _ in inside]
+        todo += [(v, (*here, k)) for k, v in inside]
     return found
 
 
-def spoilt_tree(rng: random.Random, data: bytes) -> bytes:
-    """JSON with some of its values gone, replaced, scaled, doubled or in each other's places."""
-    tree = json.loads(data)
+def spoilt_tree(rng: random.Random, data: bytes) -> Any:
+    """JSON, read, with some of its values gone, replaced, scaled, doubled or in each other's places."""
+    tree = msgspec.json.decode(data)
     for _ in range(rng.choice([1, 1, 1, 2, 4])):
-        (x, k), (y, m) = rng.choices(places(tree) or [([0], 0)], k=2)
+        (*to_x, k), (*to_y, m) = rng.choices(places(data), k=2)
         kind = rng.randrange(6)
-        if kind == 0:
-            del x[k]
-        elif kind == 1:
-            x[k] = rng.choice(TERRIBLE)
-        elif kind == 2 and isinstance(x[k], int | float):
-            x[k] *= rng.choice([-1, 0, 1e-9, 1e9, 1.5])
-        elif kind == 3 and isinstance(x, list):
-            x.append(copy.deepcopy(x[k]))
-        elif kind == 4 and isinstance(x, dict):
-            x[rng.choice(["", "x", str(m)])] = copy.deepcopy(y[m])
-        else:
-            x[k] = copy.deepcopy(y[m])
-    return json.dumps(tree).encode()
+        try:
+            x, y = reduce(getitem, to_x, tree), reduce(getitem, to_y, tree)
+            if kind == 0:
+                del x[k]
+            elif kind == 1:
+                x[k] = rng.choice(TERRIBLE)
+            elif kind == 2 and isinstance(x[k], int | float):
+                x[k] *= rng.choice([-1, 0, 1e-9, 1e9, 1.5])
+            elif kind == 3 and isinstance(x, list):
+                x.append(copy.deepcopy(x[k]))
+            elif kind == 4 and isinstance(x, dict):
+                x[rng.choice(["", "x", str(m)])] = copy.deepcopy(y[m])
+            else:
+                x[k] = copy.deepcopy(y[m])
+        except (LookupError, TypeError):
+            continue  # a change before has taken the way away
+    return tree
 
 
-def rehashed(data: bytes) -> bytes:
+def rehashed(body: Any) -> bytes:
     """A model file with the hash of what it holds, so that what reads it is reached."""
     try:
-        body = json.loads(data)
         return json.dumps(body | {"sha256": _digest(body)}).encode()
     except (ValueError, TypeError, RecursionError):
-        return data
+        return json.dumps(body).encode()
 
 
 def through_file(suffix: str, read: Callable[[Path], object], folder: Path) -> Callable[[bytes], object]:
     path = folder / f"fuzz{suffix}"
+    path.touch(0o600)
+    name = str(path)
 
     def parse(data: bytes) -> object:
-        path.write_bytes(data)
-        path.chmod(0o600)
+        with open(name, "wb", buffering=0) as f:  # noqa: PTH123 - a million times
+            f.write(data)
         return read(path)
 
     return parse
@@ -217,11 +227,19 @@ def from_controller() -> Callable[[bytes], object]:
 class Slots:
     """The latch's journal on a disk that has done something to it."""
 
-    def __init__(self, data: bytes) -> None:
-        self.data = bytearray(data)
+    settled = True
+
+    def __init__(self, data: bytes, counts: bytes = b"") -> None:
+        self.data, self.counts = bytearray(data), counts
 
     def read(self) -> bytes:
         return bytes(self.data)
+
+    def read_counts(self) -> bytes:
+        return self.counts
+
+    def write_counts(self, data: bytes) -> None:
+        self.counts = data
 
     def write(self, offset: int, data: bytes) -> None:
         self.data[offset : offset + len(data)] = data
@@ -232,6 +250,21 @@ class Slots:
 def latch(data: bytes) -> None:
     """Only a journal that was written unlatched, to the last bit, is not latched."""
     assert Latch(Journal(Slots(data))).latched or data == blank(Record()), "a violation may have been forgotten"
+
+
+def counts(data: bytes) -> None:
+    """Counts can only add to what the journal holds, and make nothing of a journal that is not latched but a latched one."""
+    three = blank(Record(why="a measurement was outside its prediction", count=3))
+    assert Latch(Journal(Slots(three, data))).count >= 3, "a count was forgotten"
+    free = Latch(Journal(Slots(blank(Record()), data)))
+    assert free.latched or not free.count, "counted, and not latched"
+
+
+def counted() -> bytes:
+    """Counts as they are written."""
+    slots = Slots(blank(Record()))
+    Journal(slots).count([5])
+    return slots.counts
 
 
 def played(path: Path) -> None:
@@ -275,7 +308,7 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
     config = (
         b'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n[publish]\nvalid_for_ms = 30\n[stops]\ncategories = ["0", "1"]\n'
     )
-    rows = signal_rows(motion(0, 40))
+    rows = signal_rows(motion(0, 12))  # what is read has to be ten cycles long
     encoder = Encoder(PROFILE)
     stream = [(k * 0.004 + i * 1e-5, c, d) for k, r in enumerate(rows) for i, (c, d) in enumerate(encoder.frames(r))]
     files: dict[str, list[bytes]] = {}
@@ -313,7 +346,7 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
     return {
         "joint_states JSON": [to_json(s) for s in states], "joint_states CDR": [to_cdr(s) for s in states],
         "reset": [b'{"name": "A. Person", "reason": "seen to"}'], "state message": [pack({"data_id": 7, "state": 0x2B})],
-        "CAN frames": [b"".join(c.to_bytes(2, "little") + bytes([len(d), 0]) + d.ljust(9, b"\0") for _, c, d in stream[:60])],
+        "CAN frames": [b"".join(c.to_bytes(2, "little") + bytes([len(d), 0]) + d.ljust(9, b"\0") for _, c, d in stream[:26])],
         "viewer": [json.dumps(twin).encode(), b'{"kind": "gap", "why": "x"}', pack({"data_id": 1})],
         "configuration": [config], "profile": [PROFILE.dcf.with_name("monitor.toml").read_bytes()], "keys": [f"1 {'11' * 32}\n".encode()],
         "EDS": [PROFILE.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
@@ -323,6 +356,7 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "candump on screen": ["\n".join(f" ({1.7e9 + t:.6f})  can0  {c:03X}   [{len(d)}]  {bytes(d).hex(' ')}" for t, c, d in stream).encode()],
         "hub": ["".join(f"< frame {c:03X} {time.time():.6f} {bytes(d).hex()} >" for _, c, d in stream[:60]).encode()],
         "RTDE": [conversation()], "latch": [blank(Record()), blank(Record(why="a measurement was outside its prediction", count=3))],
+        "counts": [counted()],
     }  # fmt: skip
 
 
@@ -366,7 +400,7 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     }  # fmt: skip
     memory: dict[str, Callable[[bytes], object]] = {
         "joint_states JSON": decode, "joint_states CDR": decode, "reset": parse_reset, "state message": unpack,
-        "CAN frames": frames, "viewer": viewer, "hub": from_hub(), "RTDE": from_controller(), "latch": latch,
+        "CAN frames": frames, "viewer": viewer, "hub": from_hub(), "RTDE": from_controller(), "latch": latch, "counts": counts,
     }  # fmt: skip
     found = memory | {name: through_file(*how) for name, how in files.items()}
 
@@ -381,16 +415,21 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
                 assert between is not None and not np.isnan(between).any(), "conformant, by a tube that is none"
         return watch
 
-    take = through_file(".rehashed.model.json", watched, folder)
-    found["model, right hash"] = lambda data: take(rehashed(data))
+    found["model, right hash"] = through_file(".rehashed.model.json", watched, folder)
     return found
 
 
 def changed(name: str, rng: random.Random, seeds: list[bytes]) -> bytes:
     """An input for this parser."""
-    if name == "model, right hash" and rng.randrange(8):
-        return spoilt_tree(rng, rng.choice(seeds))
-    return spoilt(rng, seeds)
+    if name != "model, right hash":
+        return spoilt(rng, seeds)
+    if rng.randrange(8):
+        return rehashed(spoilt_tree(rng, rng.choice(seeds)))
+    data = spoilt(rng, seeds)
+    try:
+        return rehashed(json.loads(data))
+    except (ValueError, RecursionError):
+        return data
 
 
 def fuzz(
@@ -427,8 +466,10 @@ def main() -> int:
     args = parser.parse_args()
     kept: dict[str, dict[str, int]] = json.loads(args.kept.read_text()) if args.kept and args.kept.exists() else {}
     logging.disable()  # the libraries' own words on every damaged line
+    can.io.player.read_entry_points = cache(can.io.player.read_entry_points)  # looked up anew for every log otherwise
     found: dict[str, dict[str, int]] = {}
-    with tempfile.TemporaryDirectory() as place:
+    memory = Path("/dev/shm")  # a file system in memory, where there is one
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as place:
         folder = Path(place)
         seeds = good_inputs(folder)
         # whoever has had least comes first: a run may be ended before its end

@@ -78,6 +78,16 @@ def the_latch_is_never_lost(world: World) -> Iterator[str]:
             yield f"{t.at:.3f}: {State(t.m['state']).name} while latched"
 
 
+def the_count_never_goes_back(world: World) -> Iterator[str]:
+    """Not by a kill either; a loss of power may take up to a second of it, a reset all."""
+    if world.torn or world.faults.disk_error:
+        return
+    for a, t in pairwise(world.published):
+        cleared = t.resets and not t.m["flags"] & Flag.VIOLATION_LATCHED
+        if t.m["violation_count"] < a.m["violation_count"] and not cleared:
+            yield f"{t.at:.3f}: {t.m['violation_count']} violations after {a.m['violation_count']}"
+
+
 def a_good_arm_is_not_accused(world: World) -> Iterator[str]:
     if world.torn:
         return
@@ -105,8 +115,8 @@ def numbers_are_withdrawn(world: World) -> Iterator[str]:
 
 INVARIANTS: tuple[Callable[[World], Iterator[str]], ...] = (
     nothing_comes_out_of_the_daemon, never_ok_on_old_data, no_consumer_believes_old_data, never_ok_when_a_drive_is_not_good,
-    heartbeat_is_never_late, messages_are_numbered, the_latch_is_never_lost, a_good_arm_is_not_accused,
-    ok_comes_back_only_after_good_cycles, numbers_are_withdrawn,
+    heartbeat_is_never_late, messages_are_numbered, the_latch_is_never_lost, the_count_never_goes_back,
+    a_good_arm_is_not_accused, ok_comes_back_only_after_good_cycles, numbers_are_withdrawn,
 )  # fmt: skip
 
 

@@ -97,7 +97,7 @@ class World:
         self.recorder = Recorder(Trace(6), Records(violations=False), Path(), DT, clock=self, pause=lambda: None)
         self.now, self.jumped, self.life, self.resets, self.torn = 0.0, 0, 0, 0, False
         self.altered_at = rng.choice([math.inf, rng.uniform(0.3, 0.8) * self.seconds])
-        self.disk, self.flushed = bytearray(blank(Record())), bytes(blank(Record()))
+        self.disk, self.flushed, self.counts = bytearray(blank(Record())), bytes(blank(Record())), b""
         self.frames: list[tuple[float, int, Frame, float]] = []
         self.sampled: dict[int, float] = {}
         self.given = -math.inf
@@ -280,8 +280,16 @@ class World:
     def alive(self, name: str) -> None:
         """Nobody looks."""
 
+    settled = True
+
     def read(self) -> bytes:
         return bytes(self.disk)
+
+    def read_counts(self) -> bytes:
+        return self.counts
+
+    def write_counts(self, data: bytes) -> None:
+        self.counts = data
 
     def write(self, offset: int, data: bytes) -> None:
         if self.rng.random() < self.faults.disk_error:
@@ -295,7 +303,7 @@ class World:
         """One slot is left half written."""
         at = SLOT * self.rng.randrange(2) + self.rng.randrange(200)
         self.disk[at : at + 300] = bytes(300)
-        self.torn = True
+        self.torn, self.counts = True, b""
 
     # ---- lives
 

@@ -11,6 +11,7 @@ from monitor_invariants import broken
 from monitor_world import World
 from stopset.artifact import Model, save_model
 from stopset.monitor import daemon, status
+from stopset.monitor.journal import Journal
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import State
 from stopset.monitor.nodes import Nodes
@@ -59,6 +60,7 @@ def no_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def latch_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Latch, "save", lambda self, now: None)
+    monkeypatch.setattr(Journal, "count", lambda self, counts: None)
 
 
 def drives_unheard(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,7 @@ from monitor_process import (
     stopset,
     write_config,
 )
-from patience import Granted, rest, wait
+from patience import Granted, wait
 from state_messages import pack
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
@@ -132,9 +132,11 @@ def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell)
             replay.wait(timeout=600)
         assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] > 150), ear.twins[-1]
         assert ear.wait(lambda: ear.twins[-1]["violation_latched"])
-        rest(2.0)  # the count is saved every second
-        first = ear.twins[-1]
-        monitor.kill()
+        monitor.kill()  # with a second's violations that no disk has seen yet
+        first, counted = ear.twins[-1], unpack(ear.raw[-1])["violation_count"]
+    twin, flagged = heard("")
+    assert flagged == {True} and twin["violation_count"] >= counted > 0
+    first |= {name: twin[name] for name in ("violation_count", "violations")}
     for damage in ("", "hangup"):
         twin, flagged = heard(damage)
         assert flagged == {True}, "from the first message on"
@@ -146,6 +148,9 @@ def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell)
         journal.write_bytes(torn)
         twin, flagged = heard("")
         assert flagged == {True} and "journal" in twin["violation_why"]
+        assert (
+            twin["violation_why"].startswith(first["violation_why"]) and 0 < twin["violation_count"] <= first["violation_count"]
+        )
     journal.unlink()  # who would clear it so is no operator
     twin, flagged = heard("")
     assert flagged == {True} and "taken away" in twin["violation_why"]

@@ -32,12 +32,12 @@ from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk
 from stopset.offline.nominal.known_effects import described
 from stopset.offline.revise.revise import stop_figures
-from stopset.reach.stops import StopBounds
+from stopset.reach.stops import StopBounds, tubes
 from stopset.reach.stops.friction import acted, torques_of
 from stopset.reach.stops.laws import acting_law
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK
-from stopset.reach.stops.tubes import fastest, tubes_of
+from stopset.reach.stops.tube import OK, Tube
+from stopset.reach.stops.tubes import Region, fastest, tubes_of
 from stopset.ring import Interval, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
 from stopset.sets import Box
 from test_fmu import friction
@@ -313,6 +313,21 @@ def test_a_tube_lies_inside_the_region_its_effects_were_evaluated_for(monkeypatc
         q, v = asked[-1]
         assert np.all(Q - r + tube.d_lo.min(axis=0) > q.lo) and np.all(Q + r + tube.d_hi.max(axis=0) < q.hi)
         assert np.all(fastest(tube) < v)
+
+
+def test_no_tube_is_made_twice_with_the_same_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A joint without effects that leaves the region moves nothing that a law looks at: the tube is that of the larger region."""
+    s = StopBounds.of(hiding(CASES["spring"]), (0.0, 0.25)).setting
+    assert s is not None
+    made: list[Tube] = []
+    march = tubes.march
+    monkeypatch.setattr(tubes, "march", lambda *args, **how: made.append(march(*args, **how)) or made[-1])
+    start, r = Start(Q, 0.05 * DQ, np.full(6, 1e-3), np.full(6, 1e-3)), Region(np.full(6, 1e-9), np.full(6, 10.0))
+    r.travel[[f.joint for f in s.torques.laws if f.roams]] = 0.3
+    found = tubes.march_box(s, s.plant, start, energetic=False, region=r)
+    assert len(made) == 1 and found.end == OK and r.known and np.all(r.travel > 1e-9)
+    again = tubes.march_box(s, s.plant, start, energetic=False, region=Region(r.travel, r.speed, known=True))
+    assert all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in zip(found, again, strict=True))
 
 
 def test_an_added_payload_counts_once_for_everyone() -> None:

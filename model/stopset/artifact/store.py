@@ -12,6 +12,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -96,6 +97,12 @@ def save_model(model: Model, path: str | Path) -> Model:
     return dataclasses.replace(model, sha256=json.loads(text)["sha256"])
 
 
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    """Of a few kinds, asked for thousands of times in a file."""
+    return typing.get_type_hints(kind)
+
+
 def _whole(kind: Any) -> bool:
     """Whether arrays of type ``kind`` hold whole numbers. Up to numpy 2.2 an array's shape is `int` too: only its scalar counts."""
     return any((isinstance(a, type) and issubclass(a, np.integer)) or _whole(a) for a in get_args(kind))
@@ -116,7 +123,7 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         rows = np.array([[float(a), float(b)] for a, b in x]).reshape(-1, 2)
         return Box(rows[:, 0].copy(), rows[:, 1].copy())
     if dataclasses.is_dataclass(kind):
-        hints = typing.get_type_hints(kind)
+        hints = _hints(typing.cast("Any", kind))
         known = {_key(f): f.name for f in dataclasses.fields(kind)}
         if not isinstance(x, Mapping) or set(x) - known.keys():
             raise ValueError(f"{where} holds {sorted(set(x) - known.keys()) if isinstance(x, Mapping) else type(x).__name__}")

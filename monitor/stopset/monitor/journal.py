@@ -1,9 +1,12 @@
 """What must survive a restart: one small record on disk, replaced in place, so that it needs no free space when it counts.
 
-The file has two slots of fixed size, written in turn: a write that power loss tears leaves the other slot whole. A slot
-carries a running number and a digest. The file is born complete, so whatever is not two whole slots is damage, and damage is
-`Unreadable`: the reader of it must assume the worst. So is a file that is gone from where one was begun: a small one beside it, hidden,
-remembers that. A folder that is gone with both is a first start.
+The file has two slots of fixed size. The one that the disk surely holds is not touched: a write that power loss tears leaves the other
+slot whole. A slot carries a running number and a digest. The file is born complete, so whatever is not two whole slots is damage, and
+damage is `Unreadable`: the reader of it must assume the worst, and gets what is whole with it. So is a file that is gone from where one
+was begun: a small one beside it, hidden, remembers that. A folder that is gone with both is a first start.
+
+Counts change every cycle, too often for the disk. They stand in a hidden file of their own, in the system's memory, which outlives the
+process but not the machine; they hold for the record whose number they carry.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import hashlib
 import os
 import struct
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,22 +30,35 @@ _HEAD = struct.Struct("<8sQI")  # mark, number, length of the record
 _MARK = b"STPSLTCH"
 _DIGEST = 16
 _GONE = bytes(2 * SLOT)  # of a journal that was begun and is not there any more
+_COUNTS = struct.Struct("<64Q")  # number of the record, how many counts, they themselves
+MOST_COUNTS = 62
 _WORDS = (
     b"A journal of stopset's monitor was begun beside this file. Where it is gone the monitor takes a violation for latched.\n"
 )
 
 
 class Store(Protocol):
-    """Where the two slots lie; may raise `OSError`. ``flush`` starts making what was written last, and need not wait."""
+    """Where the two slots lie, and the counts; may raise `OSError`.
 
+    ``flush`` starts making what was written last, and need not wait: ``settled`` once the disk has all of it.
+    """
+
+    @property
+    def settled(self) -> bool: ...
     def read(self) -> bytes: ...
     def write(self, offset: int, data: bytes) -> None: ...
     def flush(self) -> None: ...
+    def read_counts(self) -> bytes: ...
+    def write_counts(self, data: bytes) -> None: ...
     def close(self) -> None: ...
 
 
 class Unreadable(Exception):
-    """The journal holds damage, in words."""
+    """The journal holds damage, in words; ``record``: what was whole in it all the same, None if nothing was."""
+
+    def __init__(self, words: str, record: Any = None) -> None:
+        super().__init__(words)
+        self.record = record
 
 
 def _slot(number: int, record: Any) -> bytes:
@@ -72,7 +89,7 @@ class Journal:
 
     def __init__(self, store: Store) -> None:
         self.trouble = ""
-        self._store, self._number = store, 1
+        self._store, self._number, self._slot = store, 1, 1
 
     def read(self) -> Any:
         """The record written last; raises `Unreadable` for a damaged, foreign or torn journal."""
@@ -80,29 +97,55 @@ class Journal:
             data = self._store.read()
             if data == _GONE:
                 raise Unreadable("the journal of the latch was taken away since it was begun")
-            slots = [_read_slot(data[at : at + SLOT]) for at in (0, SLOT)] if len(data) == 2 * SLOT else [None]
+            slots = [_read_slot(part) for at in (0, SLOT) if len(part := data[at : at + SLOT]) == SLOT]
         except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as e:
             raise Unreadable(f"the journal of the latch cannot be read ({e})") from e
-        whole = [s for s in slots if s is not None]
-        self._number = max((n for n, _ in whole), default=1)
-        if len(whole) < len(slots) or len(data) != 2 * SLOT:
-            raise Unreadable("the journal of the latch is damaged, or its last write was torn")
-        return max(whole, key=lambda s: s[0])[1]
+        whole = [(*found, k) for k, found in enumerate(slots) if found is not None]
+        self._number, record, self._slot = max(whole, key=lambda s: s[0], default=(1, None, 1))
+        if len(whole) < 2 or len(data) != 2 * SLOT:
+            raise Unreadable("the journal of the latch is damaged, or its last write was torn", record)
+        return record
 
     def write(self, record: Any) -> None:
         """Replace the record: it survives this process at once, and a loss of power when the disk has taken it."""
+        # what the disk may be writing just now is written over: the other slot is the one it surely holds
+        self._put(1 - self._slot if self._store.settled else self._slot, record)
+
+    def renew(self, record: Any) -> None:
+        """Write both slots: after damage one alone would leave the other torn."""
+        self._put(0, record)
+        self._put(1, record)
+        self.count([])  # what stands there may be of a journal that is gone, and number higher
+
+    def _put(self, slot: int, record: Any) -> None:
         try:
             self._number += 1
-            self._store.write(SLOT * (self._number % 2), _slot(self._number, record))
+            self._store.write(SLOT * slot, _slot(self._number, record))
+            self._slot = slot
             self._store.flush()
             self.trouble = ""
         except (OSError, ValueError, TypeError, msgspec.MsgspecError) as e:
             self.trouble = f"the journal of the latch cannot be written ({e}); a restart would not know of what came last"
 
-    def renew(self, record: Any) -> None:
-        """Write both slots: after damage one alone would leave the other torn."""
-        self.write(record)
-        self.write(record)
+    def count(self, counts: Sequence[int]) -> None:
+        """What has grown since the record was written, at most `MOST_COUNTS` of them: survives this process, not the machine."""
+        try:
+            body = _COUNTS.pack(self._number, len(counts), *counts, *[0] * (MOST_COUNTS - len(counts)))
+            self._store.write_counts(body + hashlib.blake2b(body, digest_size=_DIGEST).digest())
+        except (OSError, struct.error) as e:
+            self.trouble = f"the counts of the latch cannot be written ({e}); a restart would know those of a second ago"
+
+    def counted(self) -> list[int]:
+        """What `count` was given last, with the record that was read or after it; empty if that was nothing."""
+        try:
+            data = self._store.read_counts()
+        except OSError:
+            return []
+        body, digest = data[: _COUNTS.size], data[_COUNTS.size :]
+        if len(body) != _COUNTS.size or hashlib.blake2b(body, digest_size=_DIGEST).digest() != digest:
+            return []
+        number, many, *counts = _COUNTS.unpack(body)
+        return counts[:many] if number >= self._number else []
 
     def close(self) -> None:
         self._store.close()
@@ -115,13 +158,14 @@ class FileStore:
     """
 
     def __init__(self, path: Path, first: Any) -> None:
-        begun = path.with_name(f".{path.name}.begun")
+        begun, counts = path.with_name(f".{path.name}.begun"), path.with_name(f".{path.name}.counts")
         try:
             if not path.exists():
                 _make(path, _GONE if begun.exists() else blank(first))
             if not begun.exists():  # only now: a start that ends in between is a first one still
                 _make(begun, _WORDS)
             self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            self._counts = os.open(counts, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as e:
             raise OutputError(
                 f"the journal of the latch {path} cannot be written ({e.strerror}); without it a restart would forget a "
@@ -131,11 +175,13 @@ class FileStore:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as e:
             os.close(self._fd)
+            os.close(self._counts)
             raise OutputError(
                 f"another monitor holds the journal {path}; expected one monitor per arm: stop the other, or give this arm "
                 "a journal of its own"
             ) from e
         self._wake, self._closing = threading.Event(), False
+        self._asked = self._synced = 0
         self._thread = threading.Thread(target=self._sync, daemon=True, name="journal")
         self._thread.start()
 
@@ -147,14 +193,27 @@ class FileStore:
             raise OSError("only a part was written")
 
     def flush(self) -> None:
+        self._asked += 1
         self._wake.set()
+
+    @property
+    def settled(self) -> bool:
+        return self._synced == self._asked
+
+    def read_counts(self) -> bytes:
+        return os.pread(self._counts, 4096, 0)
+
+    def write_counts(self, data: bytes) -> None:
+        os.pwrite(self._counts, data, 0)  # within a page: a kill comes before it or after it
 
     def _sync(self) -> None:
         while not self._closing:
             self._wake.wait()
             self._wake.clear()
+            asked = self._asked
             with contextlib.suppress(OSError):  # the next write meets the same disk and says so
                 os.fdatasync(self._fd)
+                self._synced = asked
 
     def close(self) -> None:
         self._closing = True
@@ -163,6 +222,7 @@ class FileStore:
         with contextlib.suppress(OSError):
             os.fdatasync(self._fd)
         os.close(self._fd)
+        os.close(self._counts)
 
 
 def _make(path: Path, data: bytes) -> None:

@@ -13,7 +13,7 @@ from stopset.monitor.sample import Sample
 from stopset.monitor.verdict import Conformance, Deviation, Verdict
 
 SCHEMA = 1
-SAVE_EVERY = 1.0  # [s] a growing count is written this often; a new entry at once
+SAVE_EVERY = 1.0  # [s] the disk gets a growing count this often, a new entry at once; the system's memory gets every count
 
 
 @dataclass(slots=True)
@@ -60,13 +60,25 @@ class Latch:
         if journal is None:
             return
         try:
-            self.record = msgspec.convert(journal.read(), Record)
-            if self.record.schema != SCHEMA:
-                raise Unreadable(f"the journal of the latch has schema {self.record.schema}, this version reads {SCHEMA}")
-        except (Unreadable, msgspec.ValidationError) as e:
-            self.record = Record(why=f"{e}: a violation may have been forgotten")
+            self.record = _understood(journal.read())
+            self._saved = self.record.count
+            self._go_on(journal.counted())
+        except Unreadable as e:
+            self.record = _survivor(e)
+            self._go_on(journal.counted())
             journal.renew(self.record)
-        self._saved = self.record.count
+            self._saved = self.record.count
+
+    def _go_on(self, counts: list[int]) -> None:
+        """From what was counted since the record was written, or since a later one that the disk did not take."""
+        r, total = self.record, counts[0] if counts else 0
+        if total <= r.count:
+            return
+        r.count = total
+        r.why = r.why or "violations were counted that the journal of the latch does not hold"
+        if len(counts) == 1 + len(r.entries):
+            for entry, samples in zip(r.entries, counts[1:], strict=True):
+                entry.samples = samples
 
     def take(self, sample: Sample, verdict: Verdict, now: float = 0.0) -> list[LatchEntry]:
         """Record a verdict at ``now`` [s]; returns the entries that are new with it."""
@@ -91,6 +103,8 @@ class Latch:
             r.why = f"a measurement was outside its prediction ({verdict.why})"
         if new:
             self.save(now)
+        elif self._journal is not None:
+            self._journal.count([r.count, *(e.samples for e in r.entries)])
         return new
 
     def classed(self, cause: Cause, now: float) -> None:
@@ -159,3 +173,24 @@ class Latch:
             if self.record.count != self._saved or self._journal.trouble:
                 self._journal.write(self.record)
             self._journal.close()
+
+
+def _understood(record: Any) -> Record:
+    try:
+        r = msgspec.convert(record, Record)
+    except msgspec.ValidationError as e:
+        raise Unreadable(f"the journal of the latch holds something else ({e})") from e
+    if r.schema != SCHEMA:
+        raise Unreadable(f"the journal of the latch has schema {r.schema}, this version reads {SCHEMA}")
+    return r
+
+
+def _survivor(damage: Unreadable) -> Record:
+    """Latched: with the reason and the count that are whole, if any are."""
+    words = f"{damage}: a violation may have been forgotten"
+    try:
+        r = _understood(damage.record)
+    except Unreadable:
+        return Record(why=words)
+    r.why = f"{r.why}; {words}" if r.why else words
+    return r

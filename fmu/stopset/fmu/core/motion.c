@@ -46,25 +46,23 @@ static void rigid_at(const StopsetWork *w, const double *q, const double *dq, do
 }
 
 /* What the laws give at one state with the friction directions `mode`, on top of tau; rigid signals are there. */
-static void effects(const StopsetWork *w, const StopsetSamples *at, const int32_t mode[NJ], double tau[NJ]) {
-    double signals[STOPSET_SIGNALS][ROWS], out[ROWS];
-    memset(signals, 0, sizeof signals);
+static void effects(StopsetWork *w, const StopsetSamples *at, const int32_t mode[NJ], double tau[NJ]) {
+    double out[ROWS];
     for (int k = 0; k < N_LAWS; k++) {
         const StopsetLaw *law = w->law + k;
-        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, signals);
-        stopset_play(&law->torque, (const double(*)[ROWS])signals, 1, out);
+        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, w->signals);
+        stopset_play(&law->torque, (const double(*)[ROWS])w->signals, 1, out);
         tau[law->joint] += out[0];
     }
 }
 
 /* Flow of what the effects remember, mode 0: the direction of the speed. */
-static void rates(const StopsetWork *w, const StopsetSamples *at, const int32_t mode[NJ], double *rate) {
-    double signals[STOPSET_SIGNALS][ROWS], out[ROWS];
-    memset(signals, 0, sizeof signals);
+static void rates(StopsetWork *w, const StopsetSamples *at, const int32_t mode[NJ], double *rate) {
+    double out[ROWS];
     for (int k = 0; k < N_MEMORY; k++) {
         const StopsetLaw *law = w->law + w->carried[k].law;
-        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, signals);
-        stopset_play(&w->carried[k].rate, (const double(*)[ROWS])signals, 1, out);
+        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, w->signals);
+        stopset_play(&w->carried[k].rate, (const double(*)[ROWS])w->signals, 1, out);
         rate[k] = out[0];
     }
 }
@@ -347,60 +345,62 @@ typedef struct {
     int32_t mode[NJ];
 } Begin;
 
-/* The joint whose margin is least h later, and every joint's margin there. */
-static int least_margin(const StopsetState *s, StopsetWork *w, const Begin *b, double h, double next[NY], double z[NJ]) {
-    double last[NY];
-    int least = 0;
-    if (h > 0.0)
-        runge_kutta(s, w, b->t, b->y, b->mode, h, b->first, next, last);
-    else
-        memcpy(next, b->y, sizeof b->y);
-    margins(s, w, b->t + h, next, b->mode, z);
-    for (int i = 1; i < NJ; i++)
-        if (z[i] < z[least]) least = i;
-    return least;
+/* So long after it, with the friction directions of the begin: state, its derivative, every joint's margin. */
+typedef struct {
+    double after, y[NY], rate[NY], z[NJ];
+} Probe;
+
+static const double SOON = 1e-15; /* s: so near together are the last state without and the first one with an event */
+
+/* Where in (0, 1) the cubic from z[0] > 0 to z[1] < 0 with these slopes passes zero. */
+static double cubic_crossing(const double z[2], const double slope[2]) {
+    const double rise = z[1] - z[0], square = 3.0 * rise - 2.0 * slope[0] - slope[1], cube = slope[0] + slope[1] - 2.0 * rise;
+    double lo = 0.0, hi = 1.0;
+    for (int k = 0; k < 50; k++) {
+        const double x = 0.5 * (lo + hi);
+        if (z[0] + x * (slope[0] + x * (square + x * cube)) > 0.0)
+            lo = x;
+        else
+            hi = x;
+    }
+    return 0.5 * (lo + hi);
 }
 
-/* Where in a step another friction direction is asked for first: none at `early`, one at `late`. False position with halving (the
- * Illinois rule) on the margin of the joint that asks takes half a dozen steps where bisection takes forty. */
-static void narrow(const StopsetState *s, StopsetWork *w, const Begin *b, double *early, double *late) {
-    double next[NY], before[NJ], after[NJ], z[NJ], weight[2] = {1.0, 1.0};
-    least_margin(s, w, b, *early, next, before);
-    int joint = least_margin(s, w, b, *late, next, after), side = -1;
-    for (int k = 0; k < 12 && after[joint] < 0.0 && *late - *early > 1e-15; k++) {
-        const double head = weight[0] * before[joint], tail = -weight[1] * after[joint];
-        const double share = head > 1e-6 * tail ? head / (head + tail) : 0.5; /* who has just begun to slide has no margin yet */
-        const double at = *early + (*late - *early) * share;
-        const int least = least_margin(s, w, b, at, next, z), is = event(s, w, b->t + at, next, b->mode);
+/* Where between two probes the joint of the least margin at the later one may ask for another direction, as a share of the time between
+ * them. Of a joint that slides the margin is its speed, whose slope is known at both; of one that sticks a torque (Illinois rule). */
+static double crossing(const Begin *b, const Probe *early, const Probe *late, const double weight[2]) {
+    int least = 0;
+    for (int i = 1; i < NJ; i++)
+        if (late->z[i] < late->z[least]) least = i;
+    const double rest = b->mode[least] ? REST : 0.0, z[2] = {early->z[least] + rest, late->z[least] + rest};
+    const double width = (late->after - early->after) * b->mode[least];
+    if (!(z[1] < 0.0) || (early->after == 0.0 && !(z[0] > -1e-6 * z[1]))) return 0.5; /* who has just begun to slide has no margin yet */
+    if (b->mode[least]) return cubic_crossing(z, (const double[2]){width * early->rate[NJ + least], width * late->rate[NJ + least]});
+    return weight[0] * z[0] / (weight[0] * z[0] - weight[1] * z[1]);
+}
+
+/* The first state of a step with an event, from its end, `late`, which has one: half a dozen steps where bisection takes forty. */
+static void locate(const StopsetState *s, StopsetWork *w, const Begin *b, Probe *late) {
+    Probe early = {.after = 0.0}, at;
+    double weight[2] = {1.0, 1.0}, away = 0.4 * SOON;
+    int side = -1;
+    memcpy(early.y, b->y, sizeof early.y);
+    memcpy(early.rate, b->first, sizeof early.rate);
+    margins(s, w, b->t, early.y, b->mode, early.z);
+    margins(s, w, b->t + late->after, late->y, b->mode, late->z);
+    for (int k = 0; k < 60 && late->after - early.after > SOON; k++) {
+        const double width = late->after - early.after, share = k < 24 ? crossing(b, &early, late, weight) : 0.5;
+        /* a little from both ends, and the farther the longer one of them stays: so both close in */
+        at.after = early.after + fmin(fmax(share * width, fmin(away, 0.5 * width)), fmax(width - away, 0.5 * width));
+        runge_kutta(s, w, b->t, b->y, b->mode, at.after, b->first, at.y, at.rate);
+        margins(s, w, b->t + at.after, at.y, b->mode, at.z);
+        const int is = event(s, w, b->t + at.after, at.y, b->mode);
         weight[is] = 1.0;
         if (is == side) weight[!is] *= 0.5;
-        if (is) {
-            *late = at;
-            joint = least;
-        } else
-            *early = at;
-        memcpy(is ? after : before, z, sizeof z);
+        away = is == side ? 8.0 * away : 0.4 * SOON;
         side = is;
+        *(is ? late : &early) = at;
     }
-}
-
-/* When in a step of h, at whose end there is an event, that is [s]: by bisection, whose steps outside what is known already cost nothing. */
-static double locate(const StopsetState *s, StopsetWork *w, const Begin *b, double h) {
-    double early = 0.0, late = h, none = 0.0, some = h, next[NY], last[NY];
-    narrow(s, w, b, &none, &some);
-    for (int k = 0; k < 60 && late - early > 1e-15; k++) {
-        const double middle = 0.5 * (early + late);
-        int is = middle >= some;
-        if (middle > none && middle < some) {
-            runge_kutta(s, w, b->t, b->y, b->mode, middle, b->first, next, last);
-            is = event(s, w, b->t + middle, next, b->mode);
-        }
-        if (is)
-            late = middle;
-        else
-            early = middle;
-    }
-    return late;
 }
 
 const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double *done) {
@@ -426,11 +426,15 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double 
         if (now == step || factor < 1.0) step = now * fmin(fmax(factor, 0.2), 4.0);
         if (directional(s) && events < EVENTS && event(s, w, t + now, next, mode)) {
             Begin begin = {.t = t};
+            Probe late = {.after = now};
             memcpy(begin.y, y, sizeof y);
             memcpy(begin.first, first, sizeof first);
             memcpy(begin.mode, mode, sizeof mode);
-            now = locate(s, w, &begin, now);
-            runge_kutta(s, w, t, y, mode, now, first, next, last);
+            memcpy(late.y, next, sizeof next);
+            memcpy(late.rate, last, sizeof last);
+            locate(s, w, &begin, &late);
+            now = late.after;
+            memcpy(next, late.y, sizeof next);
             for (int i = 0; i < NJ; i++)
                 if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
             settle(s, w, t + now, next, mode);

@@ -95,6 +95,7 @@ static StopsetProgram program(const StopsetState *s, StopsetWork *w, int tape) {
 static void laws(const StopsetState *s, StopsetWork *w) {
     static const double none[NJ] = {0};
     const StopsetModel *m = &stopset_model;
+    memset(w->signals, 0, sizeof w->signals);
     memcpy(w->numbers, m->numbers, sizeof w->numbers);
     memcpy(w->offset, &s->r[VR_OFFSET], sizeof w->offset);
     for (int k = 0; k < N_LAWS; k++) {

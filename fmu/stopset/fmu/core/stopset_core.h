@@ -109,6 +109,7 @@ typedef struct {
     StopsetDynamics dynamics;
     double viscous[NJ][NB], carried_load[NJ][NJ], room[ROOM]; /* damping; inertia of the payload; work of the core */
     StopsetRigid rigid;
+    double signals[STOPSET_SIGNALS][ROWS];         /* of one law; what is not asked of the rigid body stays zero */
     double since;                                  /* [s] the start, of the sample in hand */
     double (*between)(void *who, double end);      /* told where the integrator has come to in a step until `end`, says when it ends [s] */
     void *who;

@@ -691,6 +691,10 @@ STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const d
                                    double *near_lo, double *near_hi, double *left);
 /* ---- stops/bound.c: one stop from a box of states, as a loop asks for it */
 
+/* Rough length of a stop [s] from q [rad] at speeds (n,) [rad/s], to choose the time step: until the brakes hold, and the slowest joint's
+ * deceleration by them. */
+STOPSET_API double stopset_expected_stop(const StopsetPlant *plant, const double *q, const double *speed);
+
 #define STOPSET_STOP_KNOTS 100       /* time steps over the expected stop, and where the kinetic energy has to help */
 #define STOPSET_STOP_ENERGY_KNOTS 16
 #define STOPSET_STOP_CLOSING 35      /* at least so many of them from when the first brake may close until all have, in each case */

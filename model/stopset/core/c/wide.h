@@ -10,6 +10,11 @@ typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
 typedef int64_t Choice __attribute__((vector_size(32), aligned(8), may_alias));
 #define SIZES_OF(x) ((Four)((Choice)(x)&INT64_MAX))                    /* their sizes: the sign is a bit */
 #define CHOSEN(c, x, y) ((Four)(((c) & (Choice)(x)) | (~(c) & (Choice)(y)))) /* x where c, else y */
+#define BELOW(x, y) CHOSEN((y) < (x), y, x) /* as `least` and `most` */
+#define ABOVE(x, y) CHOSEN((y) > (x), y, x)
+#define FOUR_OF(x) ((Four){(x), (x), (x), (x)})
+#define LANES_FROM(first) ((Choice){0, 1, 2, 3} + (first))                     /* which four they are */
+#define IN_LANES(bits) (((Choice){1, 2, 4, 8} & (int64_t)(bits)) != 0) /* all bits or none, from a bit each */
 
 #if defined(__x86_64__) && defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) && !defined(STOPSET_NARROW)
 #define STOPSET_WIDE __attribute__((target_clones("avx2", "default")))

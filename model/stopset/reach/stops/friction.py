@@ -60,6 +60,11 @@ class Friction:
     viscous: Box
     push: Box
 
+    def same(self, other: Friction) -> bool:
+        """Whether all numbers have the same bits: a tube with the other is a tube with this one."""
+        mine, others = ([x for b in (f.dry, f.viscous, f.push) for x in (b.lo, b.hi)] for f in (self, other))
+        return all(a.tobytes() == b.tobytes() for a, b in zip(mine, others, strict=True))
+
 
 @dataclass(frozen=True, slots=True)
 class Body:

@@ -7,15 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.core.library import lib
+from stopset.core.library import given, lib, view
 from stopset.reach.stops.friction import Friction
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.split import certify, nearer
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Stride, Tube, march
+from stopset.reach.stops.tube import OK, UNBOUNDED, Plant, Stride, Tube, march, plant_struct
 from stopset.reach.stops.windows import windows
-from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -44,12 +43,11 @@ MORE_PATIENCE: int = lib.STOPSET_STOP_MORE_PATIENCE  # where the kinetic energy 
 
 
 def expected_stop(plant: Plant, q: Array, speed: Array) -> float:
-    """Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration."""
-    engaged = float(np.max(plant.delay_hi + plant.rise_hi))
-    M = plant.rotor + np.maximum(1e-3, np.abs(plant.pi[:, 0]) * 0.1)
-    authority = plant.brake_lo + plant.coulomb_lo - np.abs(gravity_torque(plant.chain, plant.pi, q))
-    authority = np.maximum(authority, 0.2 * plant.brake_lo + 1e-6)
-    return engaged + float(np.min([0.5, np.max(np.abs(speed) * M / authority)]))
+    """Rough length of a stop [s] from ``q`` [rad] at ``speed`` [rad/s], (n,) each, to choose the time step."""
+    if not q.shape == speed.shape == plant.rotor.shape:
+        raise ValueError(f"a state of {q.shape} and {speed.shape} for {len(plant.rotor)} joints")
+    struct, _held = plant_struct(plant)
+    return float(lib.stopset_expected_stop(struct, view(given(q)), view(given(np.abs(speed)))))
 
 
 @dataclass(slots=True)
@@ -72,21 +70,26 @@ class Region:
         limit, speed = setting.torques.speed, 1.05 * fast + 0.05
         return cls(1.1 * lasts * fast + 0.01, np.where(fast < limit, np.minimum(speed, limit), speed))
 
-    def plant(self, setting: Setting, plant: Plant, start: Start) -> Plant:
-        """``plant`` with what the effects give in the region around ``start``."""
+    def friction(self, setting: Setting, start: Start) -> Friction:
+        """What the effects give in the region around ``start``."""
         if self._friction is None:
             at = start.angles
             self._friction = setting.torques.over(Box(at.lo - self.travel, at.hi + self.travel), self.speed)
-        return setting.with_friction(plant, self._friction)
+        return self._friction
 
-    def holds(self, tube: Tube) -> bool:
-        """Whether the tube stays inside; if not the region is now a larger one."""
+    def holds(self, setting: Setting, tube: Tube, start: Start) -> bool:
+        """Whether the tube stays inside; if not the region is now a larger one, in which it stays where the effects give the same
+        there: then it is that region's tube too."""
         moved, fast = np.maximum(tube.d_hi.max(axis=0), -tube.d_lo.min(axis=0)), fastest(tube)
-        if np.all(moved < self.travel) and np.all(fast < self.speed):
+        if self._inside(moved, fast):
             return True
+        before = self._friction
         self.travel, self.speed = np.maximum(self.travel, 1.3 * moved), np.maximum(self.speed, 1.1 * fast)
         self.known, self._friction = True, None
-        return False
+        return before is not None and before.same(self.friction(setting, start)) and self._inside(moved, fast)
+
+    def _inside(self, moved: Array, fast: Array) -> bool:
+        return bool(np.all(moved < self.travel) and np.all(fast < self.speed))
 
 
 def march_box(
@@ -95,27 +98,29 @@ def march_box(
 ) -> Tube:  # fmt: skip
     """One tube of ``plant`` from the states of ``start``.
 
-    Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here, first
-    with a coarse tube.
+    Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here: first
+    with a coarse tube where laws look at the rigid body, and so at every joint.
     """
-    fast = start.fastest
+    fast, angles, speeds = start.fastest, start.angles, start.speeds
     knots = knots or (ENERGY_KNOTS if energetic else KNOTS)
     lasts = expected_stop(setting.plant, start.q, fast)
     patience = MORE_PATIENCE if energetic else PATIENCE
-    settled = setting.torques.settled
-    closes = float(np.max(plant.delay_hi + plant.rise_hi) - np.min(plant.delay_lo))
+    closes = float((plant.delay_hi + plant.rise_hi).max() - plant.delay_lo.min())
+    if setting.torques.settled:
+        steps = Stride(lasts / knots.stop, knots.stop * patience + knots.closing, closes / knots.closing)
+        return march(plant, angles, speeds, steps, parts, energetic=energetic)
     region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
-        coarse = not (settled or region.known)
+        coarse = not region.known and bool(setting.torques.needs)
         few, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
         steps = Stride(lasts / few, few * patience + brief, closes / brief)
-        at = plant if settled else region.plant(setting, plant, start)
-        tube = march(at, start.angles, start.speeds, steps, parts, energetic=energetic)
-        if settled or (tube.end != OK and not coarse):
+        at = setting.with_friction(plant, region.friction(setting, start))
+        tube = march(at, angles, speeds, steps, parts, energetic=energetic)
+        if tube.end != OK and not coarse:
             return tube
         if tube.end != OK:
             region.known = True  # no more is found with so few steps
-        elif region.holds(tube):
+        elif region.holds(setting, tube, start):
             if not coarse:
                 return tube
             region.known = True

@@ -23,8 +23,7 @@ static double *take(double **room, int64_t count) {
     return out;
 }
 
-/* Rough length of a stop [s], to choose the time step: engagement plus the slowest joint's deceleration. */
-double stops_expected(const StopsetPlant *p, const double *q, const double *speed) {
+double stopset_expected_stop(const StopsetPlant *p, const double *q, const double *speed) {
     const int n = p->arm.n;
     double g[SN], engaged = -STOPS_INF, longest = -STOPS_INF;
     stopset_gravity_torques(&p->arm, 1, q, g);
@@ -125,21 +124,28 @@ static int asked(const StopAsk *a, Region *region) {
     return region->asked;
 }
 
-/* Whether the tube stays inside; if not the region is now a larger one. */
+/* Whether what is `moved` and `fastest` stays inside. */
+static int inside(const Region *region, int n, const double moved[SN], const double fastest[SN]) {
+    int within = 1;
+    for (int i = 0; i < n; i++) within = within && moved[i] < region->travel[i] && fastest[i] < region->speed[i];
+    return within;
+}
+
+/* Whether the tube stays inside; if not the region is now a larger one, in which it stays where the effects give the same there:
+ * then it is that region's tube too. */
 static int holds(const StopAsk *a, Region *region, double fastest[SN]) {
     const int n = a->stops->plant.arm.n;
-    double moved[SN];
-    int held = 1;
+    double moved[SN], before[6 * SN];
     extent(a, fastest, moved);
-    for (int i = 0; i < n; i++) held = held && moved[i] < region->travel[i] && fastest[i] < region->speed[i];
-    if (held) return 1;
+    if (inside(region, n, moved, fastest)) return 1;
     for (int i = 0; i < n; i++) {
         region->travel[i] = most(region->travel[i], 1.3 * moved[i]);
         region->speed[i] = most(region->speed[i], 1.1 * fastest[i]);
     }
+    memcpy(before, region->friction, (size_t)(6 * n) * sizeof *before);
     region->known = 1;
     region->asked = 0;
-    return 0;
+    return asked(a, region) && !memcmp(before, region->friction, (size_t)(6 * n) * sizeof *before) && inside(region, n, moved, fastest);
 }
 
 /* A continuous motion that stays inside a region while it has not left cannot leave. */
@@ -157,7 +163,8 @@ int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int 
         v_hi[i] = a->dq[i] + a->dq_radius[i];
     }
     for (int k = 0; k < REGIONS; k++) {
-        const int coarse = s->torques && !region->known, steps = coarse ? knots / COARSE : knots, brief = coarse ? closing / COARSE : closing;
+        /* laws that look at the rigid body look at every joint: there the guess mostly has to be mended */
+        const int coarse = s->torques && s->torques->needs && !region->known, steps = coarse ? knots / COARSE : knots, brief = coarse ? closing / COARSE : closing;
         if (s->torques && !asked(a, region)) return 0;
         StopsetPlant plant = s->torques ? stops_with_friction(&s->plant, region->friction) : s->plant;
         plant.delay_lo = delay_lo;
@@ -250,7 +257,7 @@ int stopset_power_off(const StopsetStops *stops, const double *q, const double *
     StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
     stops_begin(&a, work, out);
     for (int i = 0; i < n; i++) speed[i] = size_of(dq[i]) + dq_radius[i];
-    a.lasts = stops_expected(&stops->plant, q, speed);
+    a.lasts = stopset_expected_stop(&stops->plant, q, speed);
     for (int k = 0; k < 2; k++) stops_guess(&a, region + k); /* the kinetic energy's tubes lead farther */
     /* the latest brakes are the hardest: what cannot be proved is known at once */
     for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {

@@ -22,7 +22,6 @@ typedef struct {
 
 /* Take the tube's memory from `work`; empty the bound. */
 void stops_begin(StopAsk *ask, double *work, const StopsetBound *out);
-double stops_expected(const StopsetPlant *plant, const double *q, const double *speed);
 /* A first guess for the box of `ask`. */
 void stops_guess(const StopAsk *ask, Region *region);
 /* One tube with the friction of a region that it does not leave, given or found here, and its largest speeds; whether it comes to rest. */

@@ -143,58 +143,69 @@ void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const S
     }
 }
 
-/* What the subsets share while they are visited. */
+/* What the subsets share while they are visited. M has stride SN. */
 typedef struct {
-    double Q_lo[SN], Q_hi[SN], l_lo[SN], l_hi[SN], best_lo[SN], best_hi[SN];
-    int seen_in[SN], seen_out[SN];
+    int n;
+    double Q_lo[SN], Q_hi[SN], l_lo[SN], l_hi[SN], best_lo[SN], best_hi[SN], v0_lo[SN], v0_hi[SN], first_lo[SN], first_hi[SN], M[SN * SN];
+    unsigned inside, seen_in, seen_out; /* a bit a joint */
 } Search;
 
-/* Speeds when exactly the joints `inside` are in their first excursion, into the hulls if that is possible. */
-static void visit(const double *A, const int *inside, const Bands *b, const Local *at, const double *v0_lo, const double *v0_hi, Search *x) {
-    const int n = at->n;
+static inline Four *four(double *x) { return (Four *)x; }
+
+/* Speeds when exactly the joints `inside` are in their first excursion, into the hulls if that is possible. A: transposed, stride SN. */
+STOPSET_WIDE static void visit(const double *A, Search *x) {
+    const int n = x->n;
     double r_lo[SN], r_hi[SN], y_lo[SN], y_hi[SN];
-    for (int j = 0; j < n; j++) {
-        if (!inside[j]) continue;
-        r_lo[j] = x->Q_lo[j];
-        r_hi[j] = x->Q_hi[j];
-        for (int o = 0; o < n; o++)
-            if (!inside[o]) {
-                const double c = -at->M[j * n + o];
-                r_lo[j] += least(c * x->l_lo[o], c * x->l_hi[o]);
-                r_hi[j] += most(c * x->l_lo[o], c * x->l_hi[o]);
-            }
+    for (int j = 0; j < n; j += LANES) {
+        Four lo = *four(x->Q_lo + j), hi = *four(x->Q_hi + j);
+        for (int o = 0; o < n; o++) {
+            if (x->inside >> o & 1u) continue;
+            const Four c = -*four(x->M + o * SN + j), a = c * x->l_lo[o], b = c * x->l_hi[o];
+            lo += BELOW(a, b);
+            hi += ABOVE(a, b);
+        }
+        *four(r_lo + j) = lo;
+        *four(r_hi + j) = hi;
     }
-    for (int i = 0; i < n; i++) {
-        if (!inside[i]) continue;
-        double lo = v0_lo[i], hi = v0_hi[i];
-        for (int j = 0; j < n; j++)
-            if (inside[j]) {
-                const double w = -A[i * n + j];
-                lo += least(w * r_lo[j], w * r_hi[j]);
-                hi += most(w * r_lo[j], w * r_hi[j]);
-            }
-        if (hi < b->first_lo[i] || lo > b->first_hi[i]) return;
-        y_lo[i] = lo;
-        y_hi[i] = hi;
+    for (int i = 0; i < n; i += LANES) {
+        const Choice here = IN_LANES(x->inside >> i);
+        Four lo = *four(x->v0_lo + i), hi = *four(x->v0_hi + i);
+        for (int j = 0; j < n; j++) {
+            if (!(x->inside >> j & 1u)) continue;
+            const Four w = -*(const Four *)(A + j * SN + i), a = w * r_lo[j], b = w * r_hi[j];
+            lo += BELOW(a, b);
+            hi += ABOVE(a, b);
+        }
+        const Choice cannot = here & ((hi < *four(x->first_lo + i)) | (lo > *four(x->first_hi + i)));
+        if (cannot[0] | cannot[1] | cannot[2] | cannot[3]) return;
+        *four(y_lo + i) = lo;
+        *four(y_hi + i) = hi;
     }
-    for (int i = 0; i < n; i++) {
-        if (inside[i]) {
-            x->best_lo[i] = least(x->best_lo[i], y_lo[i]);
-            x->best_hi[i] = most(x->best_hi[i], y_hi[i]);
-            x->seen_in[i] = 1;
-        } else
-            x->seen_out[i] = 1;
+    for (int i = 0; i < n; i += LANES) {
+        const Choice here = IN_LANES(x->inside >> i);
+        const Four lo = *four(x->best_lo + i), hi = *four(x->best_hi + i);
+        *four(x->best_lo + i) = CHOSEN(here & (*four(y_lo + i) < lo), *four(y_lo + i), lo);
+        *four(x->best_hi + i) = CHOSEN(here & (*four(y_hi + i) > hi), *four(y_hi + i), hi);
     }
+    x->seen_in |= x->inside;
+    x->seen_out |= ~x->inside;
 }
 
 static void begin_search(const Bands *b, const Momentum *m, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi,
                          const double *lo, const double *hi, Search *x) {
     const int n = at->n;
+    const size_t row = (size_t)n * sizeof(double);
     double rad;
+    memset(x, 0, sizeof *x);
+    x->n = n;
+    memcpy(x->v0_lo, v0_lo, row);
+    memcpy(x->v0_hi, v0_hi, row);
+    memcpy(x->first_lo, b->first_lo, row);
+    memcpy(x->first_hi, b->first_hi, row);
     for (int i = 0; i < n; i++) {
+        memcpy(x->M + i * SN, at->M + i * n, row);
         x->best_lo[i] = STOPS_INF;
         x->best_hi[i] = -STOPS_INF;
-        x->seen_in[i] = x->seen_out[i] = 0;
         x->l_lo[i] = b->later_lo[i] - v0_hi[i];
         x->l_hi[i] = b->later_hi[i] - v0_lo[i];
         if (!b->alive[i]) continue;
@@ -215,36 +226,36 @@ void stops_tighten(Bands *b, const Momentum *m, const Local *at, const Local *st
                    double *hi) {
     const int n = at->n;
     double A[SN * SN];
-    int inside[SN] = {0}, open[SN], count = 0, members = 0;
+    int open[SN], count = 0, members = 0;
     Search x;
     begin_search(b, m, at, start, v0_lo, v0_hi, lo, hi, &x);
-    memcpy(A, at->M, (size_t)(n * n) * sizeof *A);
+    memcpy(A, x.M, sizeof A); /* symmetric */
     for (int i = 0; i < n; i++) {
         if (!b->alive[i]) continue;
         if (b->rested[i])
             open[count++] = i;
         else {
-            stops_pivot(n, A, i, 1);
-            inside[i] = 1;
+            stops_turn_over(n, A, i, 1);
+            x.inside |= 1u << i;
             members++;
         }
     }
     for (int64_t subset = 0; count + members > 0;) {
-        visit(A, inside, b, at, v0_lo, v0_hi, &x);
+        visit(A, &x);
         if (++subset >= (int64_t)1 << count) break;
         int bit = 0;
         while (!((subset >> bit) & 1)) bit++;
-        stops_pivot(n, A, open[bit], !inside[open[bit]]);
-        inside[open[bit]] = !inside[open[bit]];
+        stops_turn_over(n, A, open[bit], !(x.inside >> open[bit] & 1u));
+        x.inside ^= 1u << open[bit];
     }
     for (int i = 0; i < n; i++) {
         if (!b->alive[i]) continue;
-        if (!x.seen_in[i] && b->rested[i])
+        if (!(x.seen_in >> i & 1u) && b->rested[i])
             b->alive[i] = 0; /* no momentum fits a first excursion that still lasts */
-        else if (x.seen_in[i]) {
+        else if (x.seen_in >> i & 1u) {
             b->first_lo[i] = most(b->first_lo[i], x.best_lo[i]);
             b->first_hi[i] = least(b->first_hi[i], x.best_hi[i]);
-            if (!x.seen_out[i]) b->rested[i] = 0; /* nor one that is over */
+            if (!(x.seen_out >> i & 1u)) b->rested[i] = 0; /* nor one that is over */
         }
     }
     stops_total(n, b, lo, hi);

@@ -43,6 +43,7 @@ static inline void least_over(const Four *x, const Four *d, Four *out) {
 typedef struct {
     double r_lo[SN], r_hi[SN], of[RATES][SN], own[SN];
     int64_t forward[SN], backward[SN], moves[SN];
+    unsigned some_forward, some_backward, some_move; /* the same flags, a bit a joint */
 } Torque;
 
 static void torques(const Local *at, const Step *s, Torque *t) {
@@ -64,21 +65,40 @@ static void torques(const Local *at, const Step *s, Torque *t) {
         t->forward[i] = -(int64_t)(s->zero[i] || s->plus[i]);
         t->backward[i] = -(int64_t)(s->zero[i] || s->minus[i]);
         t->moves[i] = -(int64_t)(s->plus[i] || s->minus[i]);
+        t->some_forward |= (unsigned)(t->forward[i] & 1) << i;
+        t->some_backward |= (unsigned)(t->backward[i] & 1) << i;
+        t->some_move |= (unsigned)(t->moves[i] & 1) << i;
     }
 }
 
-/* The hull grows by the accelerations when exactly the joints `inside` (all bits) move. A: transposed, stride SN. */
-STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, const int64_t *inside, double out[RATES][SN]) {
-    static const int of_backward[RATES] = {0, 0, 1, 1, 0, 0, 1, 1, 0, 1};
-    double diagonal[SN] = {0};
-    for (int i = 0; i < n; i++) diagonal[i] = A[i * SN + i];
+/* Answers of the joints from i on, others' part `rest` of them apart: w per torque, their own inertia's `spread` and who is `flagged`. */
+typedef struct {
+    int i;
+    Four lo, hi, w, spread;
+    Choice flagged;
+} Answers;
+
+/* One row of the hull grows by them. */
+static inline void widen(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
+    const Four torque = a->w * *(const Four *)(t->of[row] + a->i), x = is_lower(row) ? a->lo + torque : -a->hi - torque;
+    Four found, *hull = (Four *)(out[row] + a->i);
+    least_over(&x, &a->spread, &found);
+    if (!is_lower(row)) found = -found;
+    const Choice wider = a->flagged & (is_lower(row) ? found < *hull : found > *hull);
+    *hull = CHOSEN(wider, found, *hull);
+}
+
+/* The hull grows by the accelerations when exactly the joints `inside`, a bit each, move. A: transposed, stride SN. */
+STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, unsigned inside, double out[RATES][SN]) {
+    const unsigned answering = inside | ~t->some_move;
     for (int i = 0; i < n; i += LANES) {
-        const Choice place = {i, i + 1, i + 2, i + 3}, here = *(const Choice *)(inside + i), used = here | ~*(const Choice *)(t->moves + i);
-        const Choice flags[2] = {used & *(const Choice *)(t->forward + i), used & *(const Choice *)(t->backward + i)};
-        const Four own = *(const Four *)(diagonal + i);
+        const unsigned forward = (answering & t->some_forward) >> i & LANE_BITS, backward = (answering & t->some_backward) >> i & LANE_BITS;
+        if (!(forward | backward)) continue;
+        const Choice place = LANES_FROM(i), here = IN_LANES(inside >> i), used = here | ~*(const Choice *)(t->moves + i);
+        const Four own = {A[i * (SN + 1)], A[(i + 1) * (SN + 1)], A[(i + 2) * (SN + 1)], A[(i + 3) * (SN + 1)]};
         Four lo = {0}, hi = {0};
         for (int j = 0; j < n; j++) {
-            if (!inside[j]) continue;
+            if (!(inside >> j & 1u)) continue;
             const Four w = -*(const Four *)(A + j * SN + i), a = w * t->r_lo[j], b = w * t->r_hi[j], least_of = CHOSEN(w > 0.0, a, b), most_of = CHOSEN(w > 0.0, b, a);
             const Choice other = place != j;
             lo += (Four)((Choice)least_of & other);
@@ -89,40 +109,52 @@ STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, const in
         lo = CHOSEN(here, lo, lo * w);
         hi = CHOSEN(here, hi, hi * w);
         /* the joint's own inertia M_ii +- dM_ii scales its answer: a_i (1 + w d) = the rest, |d| <= dM_ii */
-        const Four d = w * *(const Four *)(t->own + i);
-        for (int row = 0; row < RATES; row++) {
-            const Four torque = w * *(const Four *)(t->of[row] + i), x = is_lower(row) ? lo + torque : -hi - torque;
-            Four found, *hull = (Four *)(out[row] + i);
-            least_over(&x, &d, &found);
-            if (!is_lower(row)) found = -found;
-            const Choice wider = flags[of_backward[row]] & (is_lower(row) ? found < *hull : found > *hull);
-            *hull = CHOSEN(wider, found, *hull);
+        Answers a = {i, lo, hi, w, w * *(const Four *)(t->own + i), used & *(const Choice *)(t->forward + i)};
+        if (forward) {
+            widen(t, &a, 0, out);
+            widen(t, &a, 1, out);
+            widen(t, &a, 4, out);
+            widen(t, &a, 5, out);
+            widen(t, &a, 8, out);
+        }
+        a.flagged = used & *(const Choice *)(t->backward + i);
+        if (backward) {
+            widen(t, &a, 2, out);
+            widen(t, &a, 3, out);
+            widen(t, &a, 6, out);
+            widen(t, &a, 7, out);
+            widen(t, &a, 9, out);
         }
     }
 }
 
-/* `stops_pivot` of the transposed matrix, stride SN. */
-STOPSET_WIDE static void turn_over(int n, double *A, int k, int into) {
+/* What is written in fours is read in fours: a number written alone would have to reach memory before four could be read there. */
+STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
     const double d = 1.0 / A[k * SN + k], s = into ? d : -d;
-    double row[SN], column[SN] = {0}, share[SN];
-    for (int i = 0; i < n; i++) {
-        row[i] = A[i * SN + k];
-        column[i] = A[k * SN + i];
+    Four share[GROUPS], column[GROUPS];
+    for (int g = 0; g * LANES < n; g++) {
+        column[g] = *(const Four *)(A + k * SN + g * LANES);
+        share[g] = column[g] * d;
     }
-    for (int i = 0; i < SN; i++) share[i] = column[i] * d;
-    for (int j = 0; j < n; j++) /* row and column k too, which come anew below: no branch in the loops */
-        for (int i = 0; i < n; i += LANES) *(Four *)(A + j * SN + i) -= *(const Four *)(share + i) * row[j];
-    for (int i = 0; i < n; i++) {
-        A[k * SN + i] = column[i] * s;
-        A[i * SN + k] = row[i] * s;
+    for (int j = 0; j < n; j++) {
+        const double row = A[j * SN + k];
+        for (int g = 0; g * LANES < n; g++) {
+            const Choice own = LANES_FROM(g * LANES) == k;
+            Four *x = (Four *)(A + j * SN + g * LANES), new = *x - share[g] * row, at = FOUR_OF(row * s);
+            *x = CHOSEN(own, at, new);
+        }
     }
-    A[k * SN + k] = -d;
+    for (int g = 0; g * LANES < n; g++) {
+        const Choice own = LANES_FROM(g * LANES) == k;
+        const Four at = FOUR_OF(-d), new = column[g] * s;
+        *(Four *)(A + k * SN + g * LANES) = CHOSEN(own, at, new);
+    }
 }
 
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
     const int n = at->n;
     double A[SN * SN] = {0};
-    int64_t inside[SN] = {0};
+    unsigned inside = 0;
     int open[SN], count = 0;
     Torque t;
     torques(at, s, &t);
@@ -132,8 +164,8 @@ void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) 
         for (int j = 0; j < n; j++) A[j * SN + i] = at->M[i * n + j];
     for (int i = 0; i < n; i++) {
         if (!s->zero[i]) {
-            turn_over(n, A, i, 1);
-            inside[i] = -1;
+            stops_turn_over(n, A, i, 1);
+            inside |= 1u << i;
         } else if (s->plus[i] || s->minus[i])
             open[count++] = i;
     }
@@ -142,8 +174,8 @@ void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) 
         if (++subset >= (int64_t)1 << count) break;
         int bit = 0;
         while (!((subset >> bit) & 1)) bit++;
-        turn_over(n, A, open[bit], !inside[open[bit]]);
-        inside[open[bit]] = ~inside[open[bit]];
+        stops_turn_over(n, A, open[bit], !(inside >> open[bit] & 1u));
+        inside ^= 1u << open[bit];
     }
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < n; i++) {

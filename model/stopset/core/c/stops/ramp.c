@@ -277,7 +277,7 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double
     a->dq = box[1];
     a->q_radius = box[2];
     a->dq_radius = box[3];
-    a->lasts = stops_expected(&a->stops->plant, a->q, speed);
+    a->lasts = stopset_expected_stop(&a->stops->plant, a->q, speed);
     const double *early = a->stops->plant.delay_lo, *late = a->stops->plant.delay_hi;
     stops_guess(a, region);
     stops_guess(a, region + 1);

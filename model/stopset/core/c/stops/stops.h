@@ -74,6 +74,7 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
 void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
                      const double *w_hi, const StopsetParts *parts, Local *out);
 void stops_pivot(int n, double *A, int k, int into);
+void stops_turn_over(int n, double *A, int k, int into); /* of the transposed matrix, stride SN; some rows beyond n are written too */
 /* A symmetric matrix and its slopes in all angles and in the payload, each times its half range: entries apart from the diagonal, (n, n) with
  * stride SN and the diagonal zero, then those on it; slopes by pair(i, j), LANES of them side by side. What is beyond n is zero. */
 enum { LANES = 4, GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
@@ -81,6 +82,7 @@ typedef struct {
     double own[SN], value[SN * SN];
     Four slope[GROUPS][PAIRS];
 } Along;
+enum { LANE_BITS = (1 << LANES) - 1 };
 static inline double sum_of(const Four *x) { return ((*x)[0] + (*x)[1]) + ((*x)[2] + (*x)[3]); }
 static inline int groups_of(int n) { return (n + LANES) / LANES; }
 /* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.

@@ -1,0 +1,186 @@
+"""The latch's journal: what a kill leaves is exact, what a loss of power leaves is latched, with reason and count."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor_process import environment
+from stopset.monitor.journal import SLOT, FileStore, Journal, blank
+from stopset.monitor.latch import Latch, Record
+from stopset.monitor.sample import Sample
+from stopset.monitor.verdict import Conformance, Deviation, Verdict
+
+SECTOR = 512
+NEVER_ENDS = """
+import sys
+import numpy as np
+from pathlib import Path
+from stopset.monitor.journal import FileStore, Journal
+from stopset.monitor.latch import Latch, Record
+from test_journal import bad, sample
+
+latch = Latch(Journal(FileStore(Path(sys.argv[1]), Record())))
+for k in range(10**9):
+    latch.take(sample(k), bad(k), k * 0.004)
+    latch.keep(k * 0.004)
+    sys.stdout.write(f"{latch.count}\\n")
+    sys.stdout.flush()
+"""
+
+
+def sample(k: int) -> Sample:
+    return Sample(k, k * 0.004, np.zeros(2), np.zeros(2), np.zeros(2))
+
+
+def bad(k: int) -> Verdict:
+    """Another joint violates from the 300th sample on."""
+    joints = ("a", "b") if k >= 300 else ("a",)
+    found = tuple(Deviation(j, "q", "above", 0.1, 0.01, 1.0, 1.0, 0.9, True) for j in joints)
+    return Verdict(Conformance.VIOLATION, "a: q above its prediction", 1, 0.1, found)
+
+
+class Disk:
+    """Takes what it is given into its memory, and on to its plates when it is asked and has the time."""
+
+    def __init__(self) -> None:
+        self.memory, self.plates, self.counts, self.settled = bytearray(blank(Record())), bytearray(blank(Record())), b"", True
+
+    def read(self) -> bytes:
+        return bytes(self.memory)
+
+    def write(self, offset: int, data: bytes) -> None:
+        self.memory[offset : offset + len(data)] = data
+
+    def flush(self) -> None:
+        self.settled = False
+
+    def sync(self) -> None:
+        self.plates[:], self.settled = self.memory, True
+
+    def read_counts(self) -> bytes:
+        return self.counts
+
+    def write_counts(self, data: bytes) -> None:
+        self.counts = data
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def after_loss_of_power(self, rng: np.random.Generator) -> Disk:
+        """Of what was on its way some sectors have come through, some half; the system's memory is empty."""
+        after = Disk()
+        after.memory[:] = self.plates
+        for at in range(0, len(self.plates), SECTOR):
+            if rng.random() < 0.5:
+                end = at + int(rng.choice([SECTOR, SECTOR, 200]))
+                after.memory[at:end] = self.memory[at:end]
+        after.plates[:] = after.memory
+        return after
+
+
+@pytest.mark.parametrize("attempt", range(5))
+def test_a_kill_in_the_midst_loses_no_count(tmp_path: Path, attempt: int) -> None:
+    """What had been counted before the last word is there; at most one sample more, of which there was no time to speak."""
+    path = tmp_path / "arm.latch"
+    env = environment()
+    env["PYTHONPATH"] += ":" + str(Path(__file__).parent)
+    with subprocess.Popen([sys.executable, "-c", NEVER_ENDS, str(path)], env=env, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        heard = [int(process.stdout.readline()) for _ in range(200 + 150 * attempt)]
+        time.sleep(0.001 * attempt)
+        process.kill()
+        heard += [int(line) for line in process.stdout.read().split("\n")[:-1]]
+    latch = Latch(Journal(FileStore(path, Record())))
+    assert latch.latched and heard[-1] <= latch.count <= heard[-1] + 1
+    a = latch.record.entries[0]
+    assert a.samples == latch.count and "a: q above" in latch.record.why
+    if heard[-1] > 302:
+        assert [e.samples for e in latch.record.entries] == [latch.count, latch.count - 300]
+    latch.close()
+
+
+def test_power_lost_at_any_moment_leaves_latch_reason_and_count() -> None:
+    """However slow the disk and whichever sectors of a write it took: latched as soon as a sync came after the first violation,
+    with the reason and at least what was counted when the disk last had everything."""
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        disk, sure = Disk(), 0
+        latch = Latch(Journal(disk))
+        for k in range(int(rng.integers(1, 400))):
+            latch.take(sample(k), bad(k), k * 0.004)
+            if rng.random() < 0.05:
+                latch.save(k * 0.004)
+            if rng.random() < 0.02:
+                disk.sync()
+                sure = latch.record.entries[0].samples if latch._saved == latch.count else max(sure, latch._saved)
+        again = Latch(Journal(disk.after_loss_of_power(rng)))
+        if sure:
+            assert again.latched and again.count >= sure and "a: q above" in again.record.why
+            assert again.record.entries[0].first.joint == "a"
+        else:
+            assert again.latched or again.count == 0
+
+
+def test_a_reset_forgets_the_counts_too(tmp_path: Path) -> None:
+    path = tmp_path / "arm.latch"
+    latch = Latch(Journal(FileStore(path, Record())))
+    for k in range(10):
+        latch.take(sample(k), bad(k), 0.0)
+    latch.reset("A. Person", "seen to", 0.0)
+    latch.close()
+    again = Latch(Journal(FileStore(path, Record())))
+    assert not again.latched and again.count == 0
+    again.close()
+
+
+def test_counts_of_a_journal_that_is_gone_are_not_of_the_next_one(tmp_path: Path) -> None:
+    path = tmp_path / "arm.latch"
+    latch = Latch(Journal(FileStore(path, Record())))
+    for k in range(100):
+        latch.take(sample(k), bad(k), 0.0)
+        latch.save(0.0)
+    latch.take(sample(100), bad(100), 0.0)
+    latch.close()
+    path.unlink()
+    latch = Latch(Journal(FileStore(path, Record())))
+    assert latch.latched and "taken away" in latch.record.why
+    latch.reset("A. Person", "seen to", 0.0)
+    latch.close()
+    latch = Latch(Journal(FileStore(path, Record())))
+    assert not latch.latched
+    latch.close()
+
+
+def test_a_count_says_what_the_disk_refused(tmp_path: Path) -> None:
+    """The disk was full when the violation came, and the process was killed: there were violations, so it is latched."""
+    disk = Disk()
+    journal = Journal(disk)
+    write, disk.write = disk.write, lambda offset, data: (_ for _ in ()).throw(OSError(28, "No space left on device"))  # type: ignore[method-assign]
+    latch = Latch(journal)
+    for k in range(3):
+        latch.take(sample(k), bad(k), 0.0)
+    assert journal.trouble
+    disk.write = write  # type: ignore[method-assign]
+    again = Latch(Journal(disk))
+    assert again.latched and again.count == 3
+
+
+def test_the_slot_that_the_disk_holds_is_not_touched() -> None:
+    disk = Disk()
+    journal = Journal(disk)
+    journal.read()
+    held = bytes(disk.plates)
+    for k in range(5):
+        journal.write(Record(why="x", count=k))
+    changed = {at // SLOT for at in range(len(held)) if disk.memory[at] != held[at]}
+    assert len(changed) == 1
+    disk.sync()
+    held = bytes(disk.plates)
+    journal.write(Record(why="x", count=9))
+    assert {at // SLOT for at in range(len(held)) if disk.memory[at] != held[at]} == {0, 1} - changed
