@@ -195,7 +195,7 @@ SETTLED = (
     Threshold("SURE", "standard deviations that some number of an effect must exceed, and none its range", "",
               "chosen: else the recordings give it no size"),
     Threshold("WHOLE", "how far a gear's swing may be off the size that its stiffness gives it, its error included", "%",
-              "true gears of labelled, generated and hardware-size sets 1 to 10 %; what imitates one 22 to 45 % (a real UR10e's elbow, whose two "
+              "true gears of labelled, generated and hardware-size sets 1 to 10 %; what imitates one 22 % and more (a real UR10e's elbow, whose two "
               "halves of recordings contradict each other: 0.83 +- 0.07 in all, 0.64 +- 0.04 in one; play in the gear beside it)"),
     Threshold("EDGE", "a shape this near to the end of its range was stopped there, not found", "%",
               "chosen"),
