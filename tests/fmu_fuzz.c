@@ -128,7 +128,7 @@ int main(int argc, char **argv) {
                     vr[4 + k] = below(N_ALL + 2);
                     x[k] = number();
                 }
-                got = fmi3GetDirectionalDerivative(c, vr, 2, vr + 4, 2, x, 2, y, 2);
+                got = (below(2) ? fmi3GetDirectionalDerivative : fmi3GetAdjointDerivative)(c, vr, 2, vr + 4, 2, x, 2, y, 2);
                 break;
             case 17: got = fmi3SetTime(c, number()); break;
             case 18:

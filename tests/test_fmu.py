@@ -424,7 +424,16 @@ def test_directional_derivatives_are_those_of_the_model(exported: Any, name: str
             v.set(dict(zip(names(model, "q_start", "dq_start"), start.tolist(), strict=True)))
             v.begin()
             assert np.abs((v.joints("ddq", model.joints) - before) / x - got).max() < 0.02 * np.abs(got).max()
+        tau_array, one_by_one = (
+            u.variables["tau"].valueReference,
+            [u.slave.getDirectionalDerivative(ddq, [x], [1.0]) for x in tau],
+        )
+        for knowns in (tau, [tau_array]):  # the transpose, knowns in an array too
+            adjoint = u.slave.getAdjointDerivative(ddq, knowns, seed.tolist(), n)
+            assert np.abs(np.array(adjoint) - np.array(one_by_one) @ seed).max() < 1e-12
         for wrong in (([vr["tcp_stop_distance"]], tau[:1]), (ddq[:1], [vr["payload_mass"]])):
+            with pytest.raises(Exception, match="AdjointDerivative"):
+                u.slave.getAdjointDerivative(*wrong, [1.0])
             with pytest.raises(Exception, match="DirectionalDerivative"):
                 u.slave.getDirectionalDerivative(*wrong, [1.0])
 

@@ -63,6 +63,8 @@ def _capabilities(identifier: str, fmi: int, *, cs: bool) -> dict[str, str]:
     if fmi == 2:
         out["canNotUseMemoryManagementFunctions"] = "true"
     out["providesDirectionalDerivative" if fmi == 2 else "providesDirectionalDerivatives"] = "true"
+    if fmi == 3:
+        out["providesAdjointDerivatives"] = "true"
     if cs:
         out["canHandleVariableCommunicationStepSize"] = "true"
     if cs and fmi == 3:

@@ -62,15 +62,45 @@ static void spread(const unsigned vr[], size_t n, unsigned out[]) {
     }
 }
 
-Level stopset_directional_arrays(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[],
-                                 double out[], size_t seeds, size_t outs) {
-    if (stopset_elements(known, m) != seeds || stopset_elements(unknown, n) != outs)
-        return stopset_fail(c, "getDirectionalDerivative", "as many seeds as elements of knowns and sensitivities as of unknowns are expected");
-    unsigned *all = malloc((seeds + outs + 1) * sizeof *all);
-    if (!all) return stopset_fail(c, "getDirectionalDerivative", "no memory left; free instances that are no longer needed");
-    spread(unknown, n, all);
-    spread(known, m, all + outs);
-    const Level level = stopset_directional(c, all, outs, all + outs, seeds, seed, out);
+/* The elements of unknowns, then of knowns; to be freed by who asks. 0 with a sentence where the numbers of values are not theirs. */
+static unsigned *elements(Instance *c, const Sensitivities *d, size_t of_unknowns, size_t of_knowns) {
+    if (stopset_elements(d->unknown, d->unknowns) != of_unknowns || stopset_elements(d->known, d->knowns) != of_knowns) {
+        stopset_fail(c, "getDerivative", "as many seeds and sensitivities as elements of the unknowns and knowns are expected; give one per scalar and joint");
+        return 0;
+    }
+    unsigned *all = malloc((of_unknowns + of_knowns + 1) * sizeof *all);
+    if (!all) {
+        stopset_fail(c, "getDerivative", "no memory left; free instances that are no longer needed");
+        return 0;
+    }
+    spread(d->unknown, d->unknowns, all);
+    spread(d->known, d->knowns, all + of_unknowns);
+    return all;
+}
+
+Level stopset_directional_arrays(Instance *c, const Sensitivities *d) {
+    unsigned *all = elements(c, d, d->outs, d->seeds);
+    if (!all) return LEVEL_ERROR;
+    const Level level = stopset_directional(c, all, d->outs, all + d->outs, d->seeds, d->seed, d->out);
+    free(all);
+    return level;
+}
+
+/* One known at a time: what all unknowns change by, each times its seed. */
+Level stopset_adjoint_arrays(Instance *c, const Sensitivities *d) {
+    static const double one = 1.0;
+    for (size_t i = 0; i < d->seeds; i++)
+        if (!stopset_finite(d->seed[i])) return stopset_fail(c, "getAdjointDerivative", "a seed is not a finite number; give finite ones");
+    unsigned *all = elements(c, d, d->seeds, d->outs);
+    if (!all) return LEVEL_ERROR;
+    double *column = malloc((d->seeds + 1) * sizeof *column);
+    Level level = column ? LEVEL_OK : stopset_fail(c, "getAdjointDerivative", "no memory left; free instances that are no longer needed");
+    for (size_t k = 0; k < d->outs && level == LEVEL_OK; k++) {
+        level = stopset_directional(c, all, d->seeds, all + d->seeds + k, 1, &one, column);
+        d->out[k] = 0.0;
+        for (size_t i = 0; i < d->seeds && level == LEVEL_OK; i++) d->out[k] += d->seed[i] * column[i];
+    }
+    free(column);
     free(all);
     return level;
 }

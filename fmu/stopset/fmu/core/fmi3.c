@@ -275,15 +275,15 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                                         const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
                                         fmi3Float64 sensitivity[], size_t nSensitivity) {
     GIVEN(c);
-    return status(stopset_directional_arrays(c, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity, nSeed, nSensitivity));
+    const Sensitivities d = {unknowns, knowns, nUnknowns, nKnowns, nSeed, nSensitivity, seed, sensitivity};
+    return status(stopset_directional_arrays(c, &d));
 }
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns,
                                     const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
                                     fmi3Float64 sensitivity[], size_t nSensitivity) {
     GIVEN(c);
-    UNUSED(unknowns), UNUSED(nUnknowns), UNUSED(knowns), UNUSED(nKnowns), UNUSED(seed), UNUSED(nSeed), UNUSED(sensitivity);
-    UNUSED(nSensitivity);
-    REFUSE("adjoint derivatives are not offered, see the capability flags");
+    const Sensitivities d = {unknowns, knowns, nUnknowns, nKnowns, nSeed, nSensitivity, seed, sensitivity};
+    return status(stopset_adjoint_arrays(c, &d));
 }
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) {
     GIVEN(c);

@@ -58,8 +58,15 @@ void stopset_free(Instance *c);
 void stopset_reset(Instance *c);
 /* What the unknowns change by per change of the knowns along `seed`: central differences, friction directions held. */
 Level stopset_directional(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[], double out[]);
-Level stopset_directional_arrays(Instance *c, const unsigned unknown[], size_t n, const unsigned known[], size_t m, const double seed[],
-                                 double out[], size_t seeds, size_t outs);
+/* Derivatives of `unknowns` variables by `knowns`, arrays among them: of seeds along the knowns, or, of the adjoint, of the unknowns. */
+typedef struct {
+    const unsigned *unknown, *known;
+    size_t unknowns, knowns, seeds, outs;
+    const double *seed;
+    double *out;
+} Sensitivities;
+Level stopset_directional_arrays(Instance *c, const Sensitivities *d);
+Level stopset_adjoint_arrays(Instance *c, const Sensitivities *d);
 /* Model exchange. */
 Level stopset_set_time(Instance *c, double t);
 Level stopset_set_states(Instance *c, const double x[], size_t n);
