@@ -30,8 +30,8 @@ WORDS = {
 }  # fmt: skip
 
 
-def arms(port: int, first: int, count: int, ready: Any) -> None:
-    """``count`` arms in one process."""
+def arms(port: int, first: int, count: int, ready: Any, state: State = State.OK, why: str = WORDS["why"]) -> None:
+    """``count`` arms in one process, all in one state."""
     links = [
         ZenohLink(f"hall/cell{k}/arm/stopset", mode="client", connect=[f"tcp/127.0.0.1:{port}"])
         for k in range(first, first + count)
@@ -39,7 +39,12 @@ def arms(port: int, first: int, count: int, ready: Any) -> None:
     for link in links:
         link.alive("alive")
     send = [link.fast("state") for link in links]
-    text, seq = json.dumps(WORDS), 0
+    stops = (
+        {}
+        if state == State.OK
+        else {"stops": {c: {"time_s": None, "tcp_m": None, "why": why, "joints": {}} for c in WORDS["stops"]}}
+    )
+    text, seq = json.dumps(WORDS | {"state": state.name, "why": why} | stops), 0
     ready.set()
     while True:
         begin = time.monotonic()
@@ -48,7 +53,7 @@ def arms(port: int, first: int, count: int, ready: Any) -> None:
             {
                 "data_id": 1,
                 "boot_id": 3,
-                "state": int(State.OK),
+                "state": int(state),
                 "valid_for_ms": 100,
                 "seq": seq,
                 "t_meas_ns": now,

@@ -27,6 +27,7 @@ from fleet import arms as simulated_arms
 from fleet import router
 from selenium import webdriver
 
+from stopset.monitor.layout import State
 from stopset.offline.workbench import Loop, Server
 
 WIDTHS = {"desktop": 1250, "phone": 390}
@@ -36,6 +37,7 @@ PATIENCE = 90.0  # [s] for a page to show what it is pictured for, on a busy mac
 REPORTS = ("inspection", "identification", "compare-first", "compare-second", "diagnosis", "added", "history", "stops", "plan")
 DRAWN = "[...document.querySelectorAll('.plot')].every(d => d.classList.contains('js-plotly-plot'))"
 HALL = 14  # arms of the fleet
+LEFT = "a measurement was outside its prediction (arm_4_joint: dq above its prediction of 0.032 s ago); reset with a name and a reason"
 
 
 @contextlib.contextmanager
@@ -180,20 +182,26 @@ def workbench(camera: Camera, demo: Path) -> None:
 
 
 def fleet(camera: Camera) -> None:
-    """An overview of a hall of arms."""
+    """An overview of a hall of arms: one has left its model, another one's monitor is gone."""
     import multiprocessing
 
     context = multiprocessing.get_context("spawn")
-    port, page, ready, used = free_port(), free_port(), context.Event(), context.Value("d", 0.0)
+    port, page, used = free_port(), free_port(), context.Value("d", 0.0)
     processes = [context.Process(target=router, args=(port, used), daemon=True)]
-    processes.append(context.Process(target=simulated_arms, args=(port, 0, HALL, ready), daemon=True))
     processes[0].start()
     until(lambda: listens(port), "the router")
-    processes[1].start()
-    ready.wait(PATIENCE)
+    for first, count, *says in ((0, HALL - 2), (HALL - 2, 1, State.VIOLATION, LEFT), (HALL - 1, 1)):
+        ready = context.Event()
+        processes.append(context.Process(target=simulated_arms, args=(port, first, count, ready, *says), daemon=True))
+        processes[-1].start()
+        ready.wait(PATIENCE)
     with running("fleet", "--connect", f"tcp/127.0.0.1:{port}", "--port", str(page)):
         until(lambda: listens(page), "the fleet's page")
-        camera.take(f"http://127.0.0.1:{page}/", "fleet", f"document.querySelectorAll('article.OK').length == {HALL}")
+        url, seen = f"http://127.0.0.1:{page}/", "document.querySelectorAll('article.{}').length == {}"
+        camera.browser.get(url)
+        until(lambda: camera.browser.execute_script("return " + seen.format("OK", HALL - 1)), "all arms on the page")
+        processes[-1].kill()
+        camera.take(url, "fleet", f"{seen.format('OK', HALL - 2)} && {seen.format('NO-DATA', 1)}")
     for process in processes[::-1]:
         process.kill()
 

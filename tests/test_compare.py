@@ -122,6 +122,22 @@ def test_command_answers_with_exit_codes_json_and_page(planar, tmp_path: Path, c
     assert load_model(folder / "m.model.json").sha256
 
 
+def test_a_stretch_shorter_than_what_is_averaged_over_is_compared_like_any(
+    planar, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a monitor wrote on a starved machine breaks into such stretches."""
+    folder, (first, *_), _ = planar
+    cut = {name: getattr(first, name)[:9] for name in ("t", "q", "dq", "tau")}
+    short = dataclasses.replace(first, suite=99, begun=99, **cut)
+    data = save_trials(tmp_path / "short.parquet", [first, short], JOINTS)
+    out = ["--json", str(tmp_path / "a.json"), "--report", str(tmp_path / "a.html"), "--mcap", str(tmp_path / "a.mcap")]
+    assert main(["compare", str(folder / "m.model.json"), "--data", str(data), *out]) == 0
+    assert json.loads((tmp_path / "a.json").read_text())["recordings"] == 2
+    alone = save_trials(tmp_path / "alone.parquet", [short], JOINTS)
+    assert main(["compare", str(folder / "m.model.json"), "--data", str(alone), "--report", str(tmp_path / "b.html")]) == 2
+    assert "expected one of more than 0.2 s" in capsys.readouterr().err and not (tmp_path / "b.html").exists()
+
+
 def test_data_without_a_powered_phase_are_refused(planar, tmp_path: Path) -> None:
     _, trials, found = planar
     still = [dataclasses.replace(r, phase="static") for r in trials]

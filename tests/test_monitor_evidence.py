@@ -430,12 +430,24 @@ def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytes
     assert found["violations"] > 0
     (sentence,) = found["said"]
     assert sentence == f"The monitor that wrote {path.name} took its violation for {back.meta.said[0]}"
-    assert sentence in capsys.readouterr().out and sentence in (tmp_path / "c.html").read_text(encoding="utf-8")
+    page = (tmp_path / "c.html").read_text(encoding="utf-8")
+    assert sentence in capsys.readouterr().out and sentence in page
+    assert "Where the model fails most: " in page and "No joint errs" not in page, "the arm shows what the verdict says"
+    assert "record the arm anew" in page, "one motion is too little for `stopset diagnose`"
     assert main(["replay", str(path), "--to", "virtual:evidence", "--speed", "inf"]) == 0
     assert f"{len(trial.t)} samples" in capsys.readouterr().out
     # read like any recording; that one motion is too little to fit an effect on is diagnosis's own affair
     assert main(["diagnose", str(model), "--data", str(path)]) == 2
     assert "1 trials" in capsys.readouterr().err
+
+
+def test_no_stretch_between_lost_cycles_counts_as_a_repetition_of_another(tmp_path: Path) -> None:
+    """Else they were drawn over one prediction, and what one is another's scatter."""
+    r = altered()
+    r = replace(r, tau=np.where(np.arange(500)[:, None] == 240, np.nan, r.tau))
+    back = read_recordings(record(tmp_path / "record", known_model(), Records(before_s=0.5), r).answers[0].file)
+    assert len(back.trials) == 2 and len({t.suite_key for t in back.trials}) == 2
+    assert {t.repetition for t in back.trials} == {0}
 
 
 def test_another_mcap_file_is_refused_with_the_way_out(tmp_path: Path) -> None:

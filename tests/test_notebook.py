@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +57,10 @@ def test_numbers_come_out_as_arrays_frames_and_pictures(altered: Path, monkeypat
     errors = columns(found)
     assert list(errors["torque_rmse_Nm"]) == [found.figures[j]["torque_rmse"] for j in errors["joint"]]
     drawn = {bar.name: dict(zip(bar.x, bar.y, strict=True)) for bar in plot(found).data}
-    assert drawn["torque error"] == {j: r["torque_rmse"] for j, r in found.figures.items()}
+    assert drawn["torque error"] == {j: r["torque_rmse_known"] for j, r in found.figures.items()}
+    simpler = drawn["what the abstraction leaves out, in U"]
+    for j, r in found.figures.items():
+        assert drawn["torque error"][j] + simpler[j] == pytest.approx(max(r["torque_rmse"], r["torque_rmse_known"]))
     diagnosis = diagnose_model(model, trials)[0]
     assert list(frame(diagnosis)["effect"]) == [r.effect for r in diagnosis.ranked] and len(plot(diagnosis).data) == 2
     with pytest.raises(NotCovered, match="nothing was added"):
@@ -87,3 +91,28 @@ def test_a_comparison_leaves_as_mcap(altered: Path, tmp_path: Path, capsys: pyte
     pictures = [m["entities"][0] for topic, _, m in messages if topic == "arm"]
     first = np.array([[p[x] for x in "xyz"] for p in pictures[0]["lines"][0]["points"]])
     assert first == pytest.approx(arm.robot.outline(trial.q[0])) and len(pictures[0]["spheres"]) == arm.n
+
+
+def test_the_arm_in_the_mcap_is_what_foxglove_publishes_as_its_scene(altered: Path, tmp_path: Path) -> None:
+    """Read by the publisher's own message class: every field known, of its type, none that a viewer would miss."""
+    pytest.importorskip("foxglove_schemas_protobuf", reason="foxglove-schemas-protobuf is not installed")
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate  # type: ignore[import-untyped]
+    from google.protobuf import json_format
+
+    arm, file = load_model(altered / "m.model.json"), tmp_path / "c.mcap"
+    main(["compare", str(altered / "m.model.json"), "--data", str(altered / "altered.parquet"), "--quiet", "--mcap", str(file)])
+    with file.open("rb") as stream:
+        read = list(make_reader(stream).iter_messages(["arm"]))
+    assert len(read) > 10
+    for schema, _, message in read:
+        assert schema is not None and (schema.name, schema.encoding) == ("foxglove.SceneUpdate", "jsonschema")
+        scene = json.loads(message.data)
+        (entity,) = scene["entities"]
+        known = {f.json_name for f in SceneUpdate.DESCRIPTOR.fields_by_name["entities"].message_type.fields}
+        assert {re.sub(r"_(.)", lambda x: x[1].upper(), k) for k in entity} == known
+        # JSON writes times as two integers; the message's own mapping wants text
+        at, entity["lifetime"] = entity["timestamp"], "0s"
+        entity["timestamp"] = f"1970-01-01T00:00:{at['sec']:02d}.{at['nsec']:09d}Z"
+        (drawn,) = json_format.ParseDict(scene, SceneUpdate()).entities
+        assert drawn.timestamp.ToNanoseconds() == message.log_time and len(drawn.spheres) == arm.n
+        assert [[p.x, p.y, p.z] for p in drawn.lines[0].points] == [[p[x] for x in "xyz"] for p in entity["lines"][0]["points"]]

@@ -47,7 +47,7 @@ def _module(command: str) -> ModuleType:
 
 
 def _overview() -> str:
-    rows = "\n".join(f"  {c:<12} {getattr(_module(c), 'HELP', '')}" for c in commands())
+    rows = "\n".join(f"  {c:<14} {getattr(_module(c), 'HELP', '')}" for c in commands())
     return (
         f"usage: stopset COMMAND [options]\n\n{rows}\n\n"
         f"`stopset COMMAND --help` tells each command's options; start with `stopset demo`.\n{FOOTER}\n"
@@ -73,7 +73,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.write(f"stopset {version('stopset')}\n")
         return 0
     if words[0] not in commands():
-        sys.stderr.write(f"stopset: no command {words[0]!r}; expected one of {', '.join(commands())}\n")
+        import difflib  # for a mistake alone
+
+        near = difflib.get_close_matches(words[0], commands(), n=1)
+        like = f"; most like it is {near[0]}" if near else ""
+        sys.stderr.write(f"stopset: no command {words[0]!r}; expected one of {', '.join(commands())}{like}\n")
         return 2
     try:
         args = parser_of(words[0]).parse_args(words[1:])

@@ -21,7 +21,7 @@ from stopset.progress import Progress, left, silent
 
 OFTEN = 2.5  # [s] between two lines of the same step
 LATER, SELDOM = 60.0, 30.0  # [s] after this long, one line in so many is enough where nobody watches
-BEGINS = "begins"  # until there is a step
+BEGINS = "loading"  # until there is a step
 BLINK = 0.5  # [s] on a terminal
 
 
@@ -80,7 +80,7 @@ class Steps:
             return f", about {_said(step)} more of this step"
         if self._expected is not None and self.seconds < self._expected:
             return f", about {_said(self._expected - self.seconds)} more, by the last times here"
-        return "" if self._live else " ... goes on"
+        return "" if self._live or self._text == BEGINS else " ... goes on"
 
     def _write(self, text: str, *, whole: bool) -> None:
         line = f"[{self.seconds:5.1f} s] {text}"

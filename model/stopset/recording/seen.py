@@ -1,4 +1,7 @@
-"""What a monitor has written down (MCAP with JSON joint states), read as a recording: one trial per stretch without a lost cycle."""
+"""What a monitor has written down (MCAP with JSON joint states), read as a recording.
+
+Every stretch without a lost cycle is a suite of one trial: none repeats another.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,7 @@ def _table(rows: list[dict[str, Any]], joints: list[str], cycle_s: float) -> pa.
     signals = [s for s in SIGNALS if s != "temp" or all("temperature" in r for r in rows)]
     for s in signals:
         columns |= {f"{s}_{j}": [] for j in joints}
-    trial, before, start = -1, None, 0
+    stretch, before, start = -1, None, 0
     for r in rows:
         k = int(r["k"])
         values = [r[SIGNALS[s]] for s in signals]
@@ -78,13 +81,13 @@ def _table(rows: list[dict[str, Any]], joints: list[str], cycle_s: float) -> pa.
             before = None
             continue
         if before is None or k != before + 1:
-            trial, start = trial + 1, k
+            stretch, start = stretch + 1, k
         before = k
-        for name, value in zip(("phase", "suite", "trial", "t"), ("closed_loop", 0, trial, (k - start) * cycle_s), strict=True):
+        for name, value in zip(("phase", "suite", "trial", "t"), ("closed_loop", stretch, 0, (k - start) * cycle_s), strict=True):
             columns[name].append(value)
         for s, row in zip(signals, values, strict=True):
             for j, x in zip(joints, row, strict=True):
                 columns[f"{s}_{j}"].append(float(x))
     table = pa.table(columns)
-    count = Counter(columns["trial"])  # a single sample between two gaps is no motion
-    return table.filter(pa.array([count[k] > 1 for k in columns["trial"]], pa.bool_()))
+    count = Counter(columns["suite"])  # a single sample between two gaps is no motion
+    return table.filter(pa.array([count[k] > 1 for k in columns["suite"]], pa.bool_()))

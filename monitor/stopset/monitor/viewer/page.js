@@ -32,7 +32,7 @@ function show(s) {
   drawArm(s, stale);
   remember(s, stale); tubes(shownTwin.joints);
   fill('events', ...(s.events || []).slice().reverse().map(e => el('li', null,
-    `${new Date(e.t_ns / 1e6).toLocaleTimeString()} ${e.told}` + (e.count > 1 ? `, ${e.count} times` : ''))));
+    `${new Date(e.t_ns / 1e6).toLocaleTimeString([], {hourCycle: 'h23'})} ${e.told}` + (e.count > 1 ? `, ${e.count} times` : ''))));
   const t = shownTwin, h = s.health || {}, late = (h.sync_to_publish_ms || {}).max;
   $('counts').textContent = Object.entries(t.verdicts).map(([k, v]) => `${v} ${k.toLowerCase()}`).join(', ') +
     `; ${count(t.gaps, 'gap')}; ${count(s.lost || 0, 'message')} lost, ${s.rejected || 0} rejected` +

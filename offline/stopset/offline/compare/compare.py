@@ -13,7 +13,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.errors import RecordingError
 from stopset.notebook import shown
-from stopset.offline.abstraction.metrics import Figures, torque_error
+from stopset.offline.abstraction.metrics import AVERAGING, Figures, torque_error
 from stopset.offline.abstraction.nominal_part import roller
 from stopset.offline.campaign.survey import Survey, on_grid, survey
 from stopset.offline.campaign.trials import ReadOnce, Source
@@ -138,6 +138,12 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
         rms = np.sqrt(np.mean(e**2, axis=0)) if len(e) else np.full(model.n, np.nan)
         rows.append(Row(r.label, motion, r.place, rms, covered, judge.violation(r, u)))
         out += rows[-1].violation is not None
+    if not any(np.isfinite(r.torque_rms).all() for r in rows):
+        longest = dt * max((len(r.t) for r in found.sample), default=0)
+        raise RecordingError(
+            f"the longest of {len(rows)} recordings lasts {longest:.3g} s; expected one of more than {AVERAGING:g} s, over which torque is "
+            "averaged: give longer ones"
+        )
     by_joint = figures.result(model.joints)
     known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
     for k, j in enumerate(model.joints):

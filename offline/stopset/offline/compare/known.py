@@ -55,4 +55,4 @@ def left_over(
     left = u - needed
     m = window or max(1, round(AVERAGING / dt))
     count = len(left) // m
-    return np.asarray(left[: count * m].reshape(count, m, -1).mean(axis=1))
+    return np.asarray(left[: count * m].reshape(count, m, left.shape[1]).mean(axis=1))

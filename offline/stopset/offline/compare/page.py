@@ -13,7 +13,7 @@ from stopset.artifact import Model, UncertaintySets
 from stopset.offline.compare.compare import Comparison, inputs
 from stopset.offline.compare.dependence import SAME, Explained, explained, partial_residual, strongest_first
 from stopset.offline.compare.tubes import chosen, left, tubes
-from stopset.offline.compare.verdict import AT_THE_FLOOR, above, by_failure, in_full, verdict
+from stopset.offline.compare.verdict import above, by_failure, failing, in_full, verdict
 from stopset.offline.conform.bands import narrower
 from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.guarantee import guarantee
@@ -23,7 +23,9 @@ from stopset.sets import Box
 from stopset.types import Array
 
 COLUMNS = 10  # of the heat-map
+VISIBLE = 0.02  # of a bar: what is less stands on none
 DOTS = 1000  # of a partial residual
+LISTED = 50  # violations
 
 
 def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: Explained | None = None) -> Page:
@@ -51,26 +53,32 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
 
 
 def bars(found: Comparison) -> go.Figure:
-    """Torque error of each joint over what its repetitions differ by, the one that fails most first."""
+    """Torque error of each joint over what its repetitions differ by, the one that fails most first.
+
+    What the abstraction makes simpler stands on top: the model knows it, so it is no failure.
+    """
     rows = by_failure(found)
-    figure = go.Figure(
-        [
-            go.Bar(name="torque error", x=[j for j, _ in rows], y=[r["torque_rmse"] for _, r in rows], marker_color=COLOURS[0]),
-            go.Scatter(
-                name="repeatability floor", x=[j for j, _ in rows], y=[r["torque_rmse_floor"] for _, r in rows], mode="markers",
-                marker={"symbol": "line-ew", "size": 40, "line": {"width": 3, "color": COLOURS[1]}},
-            ),
-        ]
+    names = [j for j, _ in rows]
+    full, whole = [in_full(r) for _, r in rows], [r["torque_rmse"] for _, r in rows]
+    rest = [max(w - f, 0.0) if f is not None and w is not None else None for f, w in zip(full, whole, strict=True)]
+    floor = go.Scatter(
+        name="repeatability floor", x=names, y=[r["torque_rmse_floor"] for _, r in rows], mode="markers",
+        marker={"symbol": "line-ew", "size": 40, "line": {"width": 3, "color": COLOURS[1]}},
     )  # fmt: skip
+    figure = go.Figure([go.Bar(name="torque error", x=names, y=full, marker_color=COLOURS[0])])
+    if any(r and f and r > VISIBLE * f for r, f in zip(rest, full, strict=True)):
+        simpler = {"color": "#dfe7ee", "line": {"color": COLOURS[0], "width": 1}}
+        figure.add_trace(go.Bar(name="what the abstraction leaves out, in U", x=names, y=rest, marker=simpler))
+    figure.add_trace(floor)
     figure.update_yaxes(title_text="torque RMS [N m]", rangemode="tozero")
-    figure.update_layout(height=300, legend={"orientation": "h", "y": 1.15})
+    figure.update_layout(barmode="stack", height=300, legend={"orientation": "h", "y": 1.02, "yanchor": "bottom"})
     return figure
 
 
 def _errors(out: Page, model: Model, found: Comparison) -> None:
     out.heading("Errors per joint, the one that fails most first")
     rows = by_failure(found)
-    fails = [j for j, r in rows if (above(r) or 0.0) > AT_THE_FLOOR][:1]
+    fails = failing(found)
     with out.beside():
         out.figure(bars(found), least_width=420)
         out.picture(
@@ -100,16 +108,16 @@ def _errors(out: Page, model: Model, found: Comparison) -> None:
 
 def _heat_map(out: Page, model: Model, shares: Explained) -> None:
     out.heading("What the torque error depends on")
+    worst = [j for j in np.argsort(-shares.share.max(axis=1))[:3] if shares.share[j].max() > SAME]
+    if not worst:
+        out.text("No variable explains anything of it, or these recordings are too short to tell.")
+        return
     order = strongest_first(shares)[:COLUMNS]
     names = [shares.variables[k] for k in order]
     out.shares(
         model.joints, names, shares.share[:, order],
         "Percent of each joint's squared torque error that each variable alone explains on stretches it was not fitted to",
     )  # fmt: skip
-    worst = [j for j in np.argsort(-shares.share.max(axis=1))[:3] if shares.share[j].max() > SAME]
-    if not worst:
-        out.text("No variable explains anything of it, or these recordings are too short to tell.")
-        return
     panels = make_subplots(rows=1, cols=len(worst), subplot_titles=[model.joints[j] for j in worst])
     for column, j in enumerate(worst, start=1):
         p = partial_residual(shares, int(j))
@@ -186,9 +194,11 @@ def _same(a: UncertaintySets, b: UncertaintySets) -> bool:
 
 
 def _violations(out: Page, found: Comparison) -> None:
-    if found.violations:
-        out.heading("Violations")
-        worst = sorted(found.violations, key=lambda v: -v.relative)[:50]
+    if not found.violations:
+        return
+    worst = sorted(found.violations, key=lambda v: -v.relative)[:LISTED]
+    of = f"the worst {LISTED} of {len(found.violations)}" if len(found.violations) > LISTED else f"{len(worst)}"
+    with out.fold(f"Violations: {of}"):
         out.table(
             ["recording", "state", "side", "from [s]", "age [s]", "excess", "unit", "excess / half-width"],
             [[v.recording, v.state, v.side, v.start_s, v.age_s, v.excess, v.unit, v.relative] for v in worst],
@@ -205,11 +215,12 @@ def _ranking(out: Page, model: Model, found: Comparison) -> None:
     floor = np.array([row["torque_rmse_floor"] or _known(model, j) for j, row in found.figures.items()])
     motions: dict[int, list[Array]] = {}
     for row in found.rows:
-        motions.setdefault(row.motion, []).append(row.torque_rms)
-    mean = {m: np.sqrt(np.nanmean(np.square(v), axis=0)) for m, v in motions.items()}
-    ranked = sorted(mean, key=lambda m: -float(np.nanmax(mean[m] / floor)))
+        if np.isfinite(row.torque_rms).all():  # a stretch shorter than what is averaged over tells none
+            motions.setdefault(row.motion, []).append(row.torque_rms)
+    mean = {m: np.sqrt(np.mean(np.square(v), axis=0)) for m, v in motions.items()}
+    ranked = sorted(mean, key=lambda m: -float(np.max(mean[m] / floor)))
     rows = [
-        [f"motion {m}", len(motions[m]), model.joints[int(np.nanargmax(mean[m] / floor))], *mean[m].tolist()] for m in ranked[:20]
+        [f"motion {m}", len(motions[m]), model.joints[int(np.argmax(mean[m] / floor))], *mean[m].tolist()] for m in ranked[:20]
     ]
     out.table(
         ["", "trials", "worst joint", *(f"{j} [N m]" for j in model.joints)],

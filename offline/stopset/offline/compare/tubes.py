@@ -57,17 +57,25 @@ def chosen(model: Model, found: Comparison) -> Drawn:
 
 
 def tubes(out: Page, model: Model, drawn: Drawn) -> None:
-    """The tube from each trial's start, one figure per suite."""
+    """The tube from each trial's start, one figure per suite; all but the first folded away."""
     out.heading("Predicted sets over measurements")
-    for trials in drawn.suites.values():
-        if trials:
-            first = trials[0][0]
-            by = "temperature" if first.temp is not None else "order of the trials"
-            caption = (
-                f"{suite_label(first.suite_key)}, {len(trials)} trial{'s' * (len(trials) != 1)}, coloured by {by} (blue first or cold, "
-                "red last or hot), predicted from each trial's start. Grey: all states conformant; dark: position only."
-            )
-            out.figure(_tube_figure(model, trials), caption, 160 * model.n)
+    first, *more = [trials for trials in drawn.suites.values() if trials] or [[]]
+    if first:
+        _suite(out, model, first)
+    if more:
+        with out.fold(f"Of {len(more)} more motion{'s' * (len(more) != 1)}"):
+            for trials in more:
+                _suite(out, model, trials)
+
+
+def _suite(out: Page, model: Model, trials: list[tuple[Recording, Array]]) -> None:
+    first = trials[0][0]
+    by = "temperature" if first.temp is not None else "order of the trials"
+    caption = (
+        f"{suite_label(first.suite_key)}, {len(trials)} trial{'s' * (len(trials) != 1)}, coloured by {by} (blue first or cold, "
+        "red last or hot), predicted from each trial's start. Grey: all states conformant; dark: position only."
+    )
+    out.figure(_tube_figure(model, trials), caption, 160 * model.n)
 
 
 def left(out: Page, model: Model, drawn: Drawn) -> None:

@@ -11,6 +11,7 @@ from stopset.offline.compare.compare import Comparison
 # a joint that errs by more than this many times what repetitions of the same torques differ by lacks something; below the
 # first, what is left is their scatter, give or take that of its estimate
 AT_THE_FLOOR, FLOORS = 1.2, 2.0
+SEEN = "record the arm anew as it was identified, then `stopset diagnose`: what a monitor saw is one motion, too little for it"
 DIAGNOSE = "`stopset diagnose` tells which effect is missing, `stopset add` puts it in"
 
 
@@ -37,11 +38,11 @@ def verdict(found: Comparison) -> ComparisonVerdict:
             f"Not covered: all {count} recordings leave the model's domain, where it promises nothing.", "bad",
             "compare with recordings inside the domain (see the table at the end), or identify with these.",
         )  # fmt: skip
-    left = f" {beyond} of them leave the model's domain, where it promises nothing." if beyond else ""
+    left = f" {beyond} of the {count} leave the model's domain, where it promises nothing." if beyond else ""
     if out:
         where = where or _left(found)
         text = f"{where}Not conformant: {out} of {count} recordings leave the predicted sets.{left}"
-        return ComparisonVerdict(text, "bad", f"do not rely on bounds of this model; {DIAGNOSE}.")
+        return ComparisonVerdict(text, "bad", f"do not rely on bounds of this model; {SEEN if found.said else DIAGNOSE}.")
     text = f"{where}All {count} recordings stay inside the predicted sets.{left}"
     if healthy:
         todo = "nothing is left to explain; `stopset stops` bounds the stops, `stopset monitor` watches the arm."
@@ -52,15 +53,29 @@ def verdict(found: Comparison) -> ComparisonVerdict:
     return ComparisonVerdict(text, "good" if healthy and not beyond else "", todo)
 
 
+def _leaves(found: Comparison) -> str:
+    """The joint whose set is left worst, empty where none is, or where a set is left across several joints only."""
+    if not found.violations:
+        return ""
+    joint = max(found.violations, key=lambda v: v.relative).state.partition("_")[2]
+    return joint if joint in found.figures else ""
+
+
 def _left(found: Comparison) -> str:
-    """A sentence on the joint whose set is left worst, empty where it is left across several joints only."""
+    """A sentence on that joint."""
+    joint = _leaves(found)
+    if not joint:
+        return ""
     worst = max(found.violations, key=lambda v: v.relative)
-    joint = worst.state.partition("_")[2]
-    return (
-        f"The model fails most at {joint}, which leaves its set by {worst.excess:.3g} {worst.unit}. "
-        if joint in found.figures
-        else ""
-    )
+    return f"The model fails most at {joint}, which leaves its set by {worst.excess:.3g} {worst.unit}. "
+
+
+def failing(found: Comparison) -> list[str]:
+    """The joint that the verdict names, none where it names none."""
+    joint, row = by_failure(found)[0]
+    if (above(row) or 0.0) > AT_THE_FLOOR:
+        return [joint]
+    return [j for j in [_leaves(found)] if j]
 
 
 def in_full(row: Mapping[str, Any]) -> float | None:

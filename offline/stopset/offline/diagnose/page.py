@@ -11,15 +11,14 @@ from plotly.subplots import make_subplots
 
 from stopset.artifact import Model
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.answer import Diagnosis
+from stopset.offline.diagnose.answer import Diagnosis, Ranked
 from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.page import COLOURS, Page, number
 from stopset.types import Array
 
 WORDS = {
-    "missing": "These effects are missing from the model, best first.",
-    "none": "No effect of the catalogue is missing: what is left is noise and the usual scatter of friction.",
-    "unknown": "Something is missing that no effect of the catalogue explains.",
+    "none": "none: No effect of the catalogue is missing: what is left is noise and the usual scatter of friction.",
+    "unknown": "unknown: Something is missing that no effect of the catalogue explains.",
 }
 
 
@@ -51,7 +50,7 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
         _ranked(out, found)
     if found.rivals:
         out.heading("What these recordings hardly separate")
-        out.table(("rivals",), [(" / ".join(group),) for group in found.rivals])
+        out.points([" from ".join(group) for group in found.rivals])
     if found.depends_on:
         out.heading("What is left depends on")
         out.text(", ".join(found.depends_on))
@@ -75,12 +74,18 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
 
 def _answer(found: Diagnosis) -> str:
     """The verdict, and of the best effect what it takes off the error at its own joint."""
-    words = f"{found.verdict}: {WORDS[found.verdict]}"
     if not found.ranked:
-        return words
-    r = found.ranked[0]
-    share = f", {r.error_after / r.error_before - 1:+.0%}" if r.error_before else ""
-    return f"{words} First {r.label}: held-out error {r.error_before:.3g} → {r.error_after:.3g} {r.unit}{share}."
+        return WORDS.get(found.verdict, f"{found.verdict}.")
+    first, *more = found.ranked
+    share = f" ({first.error_after / first.error_before - 1:+.0%})" if first.error_before else ""
+    then = f" Then {', '.join(map(_place, more))}." if more else ""
+    fall = f"{first.error_before:.3g} → {first.error_after:.3g} {first.unit}{share}"
+    return f"{found.verdict}: {_place(first)}, held-out error {fall}.{then}"
+
+
+def _place(r: Ranked) -> str:
+    """An effect and where it is, in words."""
+    return f"{r.effect.replace('_', ' ')} at {' + '.join(r.joints)}" if r.joints else r.effect.replace("_", " ")
 
 
 def _next(found: Diagnosis) -> str:
@@ -91,7 +96,7 @@ def _next(found: Diagnosis) -> str:
         todo.append(
             "nothing to add" if found.verdict == "none" else "look at the arm: what is left is no effect that is known here"
         )
-    return "; ".join(todo) + "."
+    return ". ".join(todo) + "."
 
 
 def _ranked(out: Page, found: Diagnosis) -> None:
@@ -171,5 +176,7 @@ def ranking(found: Diagnosis) -> go.Figure:
     )
     figure.update_xaxes(title=f"held-out error [{ranked[0].unit}]", rangemode="tozero")
     figure.update_yaxes(automargin=True)
-    figure.update_layout(height=160 + 50 * len(names), legend={"traceorder": "reversed"})
+    figure.update_layout(
+        height=160 + 50 * len(names), legend={"traceorder": "reversed", "orientation": "h", "y": 1.02, "yanchor": "bottom"}
+    )
     return figure

@@ -14,7 +14,7 @@ from stopset.offline.plan.motion import PlannedMotion
 from stopset.offline.plan.poses import APPROACH
 from stopset.offline.report.page import COLOURS, Page
 
-DRAWN = 600  # points of a curve: more cannot be seen
+DRAWN = 300  # points of a curve: more cannot be seen
 SHOWN = 3  # motions of a part that are drawn, one after the other
 
 
@@ -26,6 +26,7 @@ def page(plan: Plan) -> Page:
     out.verdict(f"{minutes:.0f} minutes of motion in {len(plan.parts)} parts; moving to start points is not counted.")
     for w in plan.warnings:
         out.verdict(f"{w[0].upper()}{w[1:]}.", "bad")
+    out.next("drive the parts in this order and record them, then `stopset inspect`, then `stopset identify`.")
     out.heading("What to drive, and what it tells")
     rows = []
     for p in plan.parts:
@@ -57,17 +58,17 @@ def page(plan: Plan) -> Page:
         if part.motions:
             out.heading(part.name)
             out.figure(_motions(part.motions[:SHOWN], robot.joints, robot.dq_limit), _caption(len(part.motions)))
-    out.heading("Stops")
-    out.table(
-        ("category", "joint", "speed %", "motion", "trigger [s]", "repeats"),
-        [(int(s["category"]), robot.joints[int(s["joint"])], int(s["speed_percent"]), int(s["motion"]), s["trigger_s"], int(s["repeats"]))
-         for s in plan.stops],
-    )  # fmt: skip
-    out.heading("Standard error of every parameter")
-    out.table(
-        ("parameter", "unit", "description alone", "with today's data", "after this campaign"),
-        [(row["parameter"], row["unit"], row["before"], row["now"], row["after"]) for row in plan.outlook],
-    )
+    with out.fold(f"Stops: {len(plan.stops)}"):
+        out.table(
+            ("category", "joint", "speed %", "motion", "trigger [s]", "repeats"),
+            [(int(s["category"]), robot.joints[int(s["joint"])], int(s["speed_percent"]), int(s["motion"]), s["trigger_s"],
+              int(s["repeats"])) for s in plan.stops],
+        )  # fmt: skip
+    with out.fold(f"Standard error of every parameter: {len(plan.outlook)}"):
+        out.table(
+            ("parameter", "unit", "description alone", "with today's data", "after this campaign"),
+            [(row["parameter"], row["unit"], row["before"], row["now"], row["after"]) for row in plan.outlook],
+        )
     return out
 
 
@@ -81,7 +82,7 @@ def _motions(paths: Sequence[PlannedMotion], joints: Sequence[str], limit: np.nd
     for j, joint in enumerate(joints):
         start = 0.0
         for k, p in enumerate(paths):
-            at = slice(None, None, max(1, len(p.t) // DRAWN))
+            at = slice(None, None, -(-len(p.t) // DRAWN))
             line = {"color": COLOURS[j % len(COLOURS)], "width": 1.5}
             for row, y in ((1, p.q[at, j]), (2, p.dq[at, j] / limit[j])):
                 figure.add_trace(
