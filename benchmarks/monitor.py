@@ -15,8 +15,10 @@ import contextlib
 import gc
 import json
 import os
+import resource
 import select
 import socket
+import subprocess
 import sys
 import tempfile
 import time
@@ -59,6 +61,7 @@ ARM_TICKS = 2000
 MOST_FRAMES = 32  # of a cycle
 DRIVES_FRAMES = 13  # SYNC and two of each drive
 PRIORITY = 10
+SWEPT, SWEPT_EVERY = 64 << 20, 10  # bytes, more than the largest cache here; cycles
 KEY = Key(1, bytes(32))
 
 
@@ -152,19 +155,30 @@ def first_in_line() -> Iterator[str]:
         os.sched_setscheduler(0, before, os.sched_param(0))
 
 
-def run(daemon: Daemon, bus: Frames, clock: Clock) -> np.ndarray:
-    """(2, cycles) thread CPU and wall [us] of every cycle, once the oldest prediction has its full age."""
-    took = np.empty((2, len(bus.cycles)))
+def run(daemon: Daemon, bus: Frames, clock: Clock, swept: np.ndarray | None = None) -> np.ndarray:
+    """(3, cycles) thread CPU [us], wall [us] and how often somebody else got the processor in it, once the oldest prediction has its
+    full age. ``swept``: memory that is gone through before every tenth cycle, and then these alone."""
+    took, usage = np.empty((3, len(bus.cycles))), resource.getrusage
     gc.collect()
     gc.disable()
     for k, frames in enumerate(bus.cycles):
         bus.ready = frames
         clock.now += daemon.cycle_s
+        if swept is not None and k % SWEPT_EVERY == 0 and k >= len(daemon.watch.ages):
+            swept += 1.0
+        before = usage(resource.RUSAGE_THREAD).ru_nivcsw
         begin, begin_cpu = time.perf_counter_ns(), time.thread_time_ns()
         daemon.cycle()
-        took[:, k] = time.thread_time_ns() - begin_cpu, time.perf_counter_ns() - begin
+        took[:2, k] = time.thread_time_ns() - begin_cpu, time.perf_counter_ns() - begin
+        took[2, k] = 1e3 * (usage(resource.RUSAGE_THREAD).ru_nivcsw - before)
     gc.enable()
-    return took[:, len(daemon.watch.ages) :] * 1e-3
+    warm = -(-len(daemon.watch.ages) // SWEPT_EVERY) * SWEPT_EVERY
+    return took[:, warm :: 1 if swept is None else SWEPT_EVERY] * 1e-3
+
+
+def median(x: np.ndarray) -> float:
+    """0 where there is none."""
+    return float(np.median(x)) if len(x) else 0.0
 
 
 def many_arms(model_path: Path, trial: Recording, arms: int) -> dict[str, object]:
@@ -193,10 +207,11 @@ def many_arms(model_path: Path, trial: Recording, arms: int) -> dict[str, object
 def cycle_cost(model_path: Path, trial: Recording, before: dict[str, float]) -> dict[str, object]:
     """CPU and wall of a whole cycle; then, in a run of its own as clocks cost too, of its parts. ``before``: these, as they were."""
     model = load_model(model_path)
-    others, _ = run(*prepared(model, model_path, trial))
+    others, _, lost = run(*prepared(model, model_path, trial))
+    cold = run(*prepared(model, model_path, trial), swept=np.zeros(SWEPT // 8))[0]
     daemon, *rest = prepared(model, model_path, trial)
     with first_in_line() as scheduling:
-        cpu, wall = run(daemon, *rest)
+        cpu, wall, _ = run(daemon, *rest)
     state = daemon._situation()
     print(f"state {state.state.name}: {state.why}")
     print(f"{len(daemon.watch.ages) - 1} ages, {model.effort}, {len(model.effects)} effects, {len(cpu)} cycles: "
@@ -225,10 +240,12 @@ def cycle_cost(model_path: Path, trial: Recording, before: dict[str, float]) -> 
         f"  cycle      {np.median(cpu):8.1f} us CPU, p99 {np.quantile(cpu, 0.99):.1f}; wall p99.9 {np.quantile(wall, 0.999):.1f} us ({scheduling})"
     )
     print(f"  among all others, load {os.getloadavg()[0]:.1f}: {np.median(others):.1f} us CPU, p99 {np.quantile(others, 0.99):.1f}, "
-          f"{np.quantile(others, 0.99) / np.quantile(cpu, 0.99):.1f} times the p99 above")  # fmt: skip
+          f"{np.quantile(others, 0.99) / np.quantile(cpu, 0.99):.1f} times the p99 above; the {np.count_nonzero(lost)} of {len(lost)} cycles in "
+          f"which somebody else got the processor {median(others[lost > 0]):.1f}, p99 of the rest {np.quantile(others[lost == 0], 0.99):.1f}; "
+          f"a cycle after {SWEPT >> 20} MiB of other memory {np.median(cold):.1f}")  # fmt: skip
     return {
         "cycle_cpu_us": said_of["mine"], "among_others_cpu_us": said_of["others"], "scheduling": scheduling, "load": os.getloadavg()[0],
-        "wall_us": {"p999": float(np.quantile(wall, 0.999))}, "parts_us": said,
+        "wall_us": {"p999": float(np.quantile(wall, 0.999))}, "parts_us": said, "swept_cpu_us": float(np.median(cold)),
         "ages": len(watch.ages) - 1, "joints": model.n, "effort": model.effort,
     }  # fmt: skip
 
@@ -337,6 +354,7 @@ def main() -> None:
         results = cycle_cost(model_path, next(iter(read_recordings(recording))), before)
     if usable():
         results["taking_frames_cpu_us"] = taking()
+    subprocess.run([sys.executable, Path(__file__).with_name("monitor_allocations.py")], check=True)
     if args.json:
         args.json.write_text(json.dumps(results))
     for speed in () if args.no_live else (1.0, 4.0):

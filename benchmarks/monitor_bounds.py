@@ -1,6 +1,6 @@
 """What stop bounds beside the loop cost, and how much of the time they hold, while an arm moves:
 ``python benchmarks/monitor_bounds.py MODEL [RECORDING] [--rounds 3] [--seconds 30] [--payload KG [KG]] [--share 0.1]
-[--categories 0 1] [--alone]``.
+[--categories 0 1] [--alone] [--arms 12]``.
 
 ``./run demo --out FOLDER`` leaves a model and recordings; the model "ur10e" is the UR10e-like arm of stop_arms_wide.py, its payload
 0 to 12.5 kg where none is declared. Without a recording the arm goes from one random pose to the next and comes by no state twice in
@@ -37,6 +37,7 @@ from stopset.types import Array
 
 REACH, TOP = 0.8, 0.6  # of the angles and speeds identification has seen
 SHORTEST = 0.4  # [s] a motion takes
+FIRST_SEED = 3  # of the motions
 
 
 class Standing:
@@ -87,7 +88,7 @@ def cpu_of(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def never_twice(model: Model, seconds: float, seed: int = 3) -> tuple[Array, Array]:
+def never_twice(model: Model, seconds: float, seed: int) -> tuple[Array, Array]:
     """Angles and speeds (N, n) of fifth-order motions between random poses, one after another."""
     rng, seen, n, dt = np.random.default_rng(seed), seen_by(model), model.n, model.powered.dt
     lo, hi = np.maximum(seen.lo[:n], -np.pi), np.minimum(seen.hi[:n], np.pi)
@@ -134,18 +135,31 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=Stops().core_share)
     parser.add_argument("--categories", nargs="+", default=["0", "1"], choices=["0", "1", "2"])
     parser.add_argument("--alone", action="store_true", help="on a core of its own, by the proofs' processor time")
+    parser.add_argument(
+        "--arms", type=int, default=1, help="so many, one after another, each with motions and certificates of its own"
+    )
     args = parser.parse_args()
     path = args.model
     if path == "ur10e":
         path = f"{tempfile.mkdtemp()}/ur10e.model.json"
         save_model(ur10e_like(), path)
     model = load_model(path)
+    arms = [watched(args, path, model, FIRST_SEED + k) for k in range(args.arms)]
+    for turn in range(args.rounds if args.arms > 1 else 0):
+        shares, held = zip(*(rounds[turn] for rounds in arms), strict=True)
+        print(f"round {turn + 1}, {args.arms} arms, each with motions of its own: {100 * np.mean(shares):.1f} % of a core an arm, "
+              f"{100 * min(shares):.1f} to {100 * max(shares):.1f}; bounds for {100 * min(held):.1f} % of the states at least")  # fmt: skip
+
+
+def watched(args: argparse.Namespace, path: str, model: Model, seed: int) -> list[tuple[float, float]]:
+    """Of every round of one arm: part of a core, part of the states with a bound."""
     if args.recording:
         trials = list(read_recordings(args.recording))
         q, dq = np.concatenate([r.q for r in trials]), np.concatenate([r.dq for r in trials])
     else:
-        q, dq = never_twice(model, args.seconds)
+        q, dq = never_twice(model, args.seconds, seed)
     dt, (desk, spent) = model.powered.dt, made(args, path, model)
+    found = []
     try:
         begin, k = time.monotonic(), 0
         for turn in range(args.rounds):
@@ -166,8 +180,10 @@ def main() -> None:
             medians = ", ".join(f"STOP {c} {1e3 * np.median(x):.0f} mm" for c, x in travel.items())
             print(f"round {turn + 1}: {100 * share:.1f} % of a core, bounds for {100 * held / len(q):.1f} % of the states, "
                   f"median at the flange {medians}", flush=True)  # fmt: skip
+            found.append((share, held / len(q)))
     finally:
         desk.close()
+    return found
 
 
 if __name__ == "__main__":

@@ -27,8 +27,9 @@ def main() -> None:
     bound, took, proved = ffi.new("StopsetBound *", tuple(view(x) for x in out)), [], 0
     for _ in range(REPEATS):
         row, rate = rng.uniform(0.0, ROWS - 3.0), rng.uniform(0.3, 2.0)
+        request = ffi.new("StopsetRequest *", (row, rate))
         begin = time.process_time()
-        proved += not lib.stopset_path_stop(core.struct, core.braking, struct, row, rate, view(work), passed, bound)
+        proved += not lib.stopset_path_stop(core.struct, core.braking, struct, request, view(work), passed, bound)
         took.append(time.process_time() - begin)
     most = f"{1e3 * np.quantile(took, 0.99):.2f} ms at 99 %"
     print(f"{proved} of {REPEATS} stops bounded; {1e3 * np.median(took):.2f} ms CPU (median), {most}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,12 +68,27 @@ def inertia_box(plant: Plant, q: Array, x_lo: Array, x_hi: Array, parts: Parts) 
     n = len(q)
     struct, _held = plant_struct(plant)
     out = [np.empty(shape) for shape in ((n, n), (n, n), (n, n, n))]
-    box = [view(given(x)) for x in (q, x_lo, x_hi)]
-    check(lib.stopset_inertia_box(struct, *box, ffi.new("StopsetParts *", tuple(parts)), *(view(x) for x in out)))
+    box, _box = states_struct(q, (x_lo, x_hi))
+    check(lib.stopset_inertia_box(struct, box, ffi.new("StopsetParts *", tuple(parts)), *(view(x) for x in out)))
     return out[0], out[1], out[2]
+
+
+def states_struct(
+    q: Array | None, x: tuple[Array, Array], v: tuple[Array, Array] | None = None
+) -> tuple[Any, list[Array | None]]:
+    """``StopsetBox`` of angles ``q + [x_lo, x_hi]``, speeds in ``v``, and what must live as long."""
+    held = [None if a is None else given(a) for a in (q, *x, *(v or (None, None)))]
+    return ffi.new("StopsetBox *", tuple(ffi.NULL if a is None else view(a) for a in held)), held
+
+
+def range_struct(lo: Array, hi: Array) -> tuple[Any, list[Array]]:
+    """``StopsetRange``, and what must live as long."""
+    held = [given(lo), given(hi)]
+    return ffi.new("StopsetRange *", tuple(view(a) for a in held)), held
 
 
 def largest_energy(plant: Plant, q: Array, x_lo: Array, x_hi: Array, v_lo: Array, v_hi: Array) -> float:
     """Largest ``sqrt(v' M v)`` for speeds in a box and angles in ``q + [x_lo, x_hi]``: convex in v, so at a corner."""
     struct, _held = plant_struct(plant)
-    return float(lib.stopset_largest_energy(struct, *(view(given(x)) for x in (q, x_lo, x_hi, v_lo, v_hi))))
+    box, _box = states_struct(q, (x_lo, x_hi), (v_lo, v_hi))
+    return float(lib.stopset_largest_energy(struct, box))

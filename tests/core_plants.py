@@ -83,6 +83,7 @@ def power_off(plant: Plant, q: Array, dq: Array, radius: float = 0.0) -> Any:
     out, two = np.empty((4, n)), np.empty(2)
     box = [given(x) for x in (q, dq, 0.0 * q, np.full(n, radius))]
     bound = ffi.new("StopsetBound *", (*(view(x) for x in out), view(two)))
-    code = lib.stopset_power_off(stops, *(view(x) for x in box), view(work), bound)
+    states = ffi.new("StopsetStates *", tuple(view(x) for x in box))
+    code = lib.stopset_power_off(stops, states, view(work), bound)
     assert held
     return int(code) if code else out

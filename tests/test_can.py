@@ -9,6 +9,7 @@ import time
 import tty
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -359,6 +360,52 @@ def test_other_ways_to_keep_a_log(kind: str, tmp_path: Path) -> None:
     assert main(["import", str(path), "--out", str(out)]) == 0
     (back,) = read_recordings(out)
     assert np.abs(back.q - trial.q).max() < 1e-5
+
+
+def shown(frames: list[tuple[float, int, bytes]], how: str) -> str:
+    """What candump shows on the screen with the option ``how``."""
+    lines, last = [], frames[0][0]
+    for t, c, d in frames:
+        stamp = {
+            "tA": f"{datetime.fromtimestamp(t):%Y-%m-%d %H:%M:%S.%f}", "tz": f"{t - frames[0][0]:010.6f}", "td": f"{t - last:010.6f}",
+        }.get(how, f"{t:.6f}")  # fmt: skip
+        last, text = t, "".join(chr(b) if 32 <= b < 127 else "." for b in d)
+        lines.append(f" ({stamp})  can0  {'RX - -  ' if how == 'x' else ''}{c:03X}   [{len(d)}]  {bytes(d).hex(' ').upper()}"
+                     + (f"   '{text}'" if how == "a" else ""))  # fmt: skip
+    if how == "others":  # an error, a frame of CAN FD, a request: on the same bus, and none of ours
+        lines[3:3] = [
+            " (1700000000.000100)  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME",
+            " (1700000000.000100)  can0  123  [12]  11 22 33 44 55 66 77 88 99 AA BB CC",
+            " (1700000000.000100)  can0  123   [0]  remote request",
+        ]
+    return "\n".join(["robot@cell:~$ candump can0 -ta", *lines] if how == "prompt" else lines)
+
+
+@pytest.mark.parametrize(
+    ("how", "refused"),
+    [
+        ("a", ""),
+        ("x", ""),
+        ("tA", ""),
+        ("tz", ""),
+        ("others", ""),
+        ("bom", ""),
+        ("td", "pauses between frames"),
+        ("prompt", "its first line"),
+    ],
+)
+def test_what_candump_shows_is_read_whatever_it_was_asked_for(
+    how: str, refused: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trial, path, out = motion(0, 40), tmp_path / "bus.log", tmp_path / "rec.parquet"
+    text = shown([(1.7e9 + f.t, f.cob_id, f.data) for f in recorded([trial]).frames], how)
+    path.write_text(text, encoding="utf-8-sig" if how == "bom" else "utf-8")
+    assert main(["import", str(path), "--out", str(out)]) == (2 if refused else 0)
+    if refused:
+        assert refused in capsys.readouterr().err and not out.exists()
+    else:
+        (back,) = read_recordings(out)
+        assert np.abs(back.q - trial.q).max() < 1e-5
 
 
 def test_replay_sends_what_drives_say_and_not_to_a_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

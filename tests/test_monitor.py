@@ -542,6 +542,11 @@ GOOD = 'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n'
         (GOOD + "[publish]\nrecover_s = nan", "recover_s is nan"),
         ("payload_kg = nan\n" + GOOD, "payload_kg is nan"),
         (f"payload_kg = {'9' * 5000}\n" + GOOD, "TOML"),
+        ('journal = "/"\n' + GOOD, "a folder"),
+        ('journal = "."\n' + GOOD, "a folder"),
+        ('journal = "a\\u0000b"\n' + GOOD, "control characters"),
+        ('keys = "a\\u0000b"\n' + GOOD, "control characters"),
+        (GOOD.replace("a.json", "a\\u0000b"), "control characters"),
     ],
 )
 def test_bad_configuration_gets_one_sentence(text: str, word: str, tmp_path: Path) -> None:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import pytest
+
+from monitor_arm import motion
+from stopset.artifact import save_model
 from stopset.monitor.realtime import GOT, claim
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import monitor
 
 ASK = """
 import os, resource, threading
@@ -48,3 +58,23 @@ def test_a_refusal_is_said() -> None:
 
 def test_nothing_is_asked_for_unless_told() -> None:
     assert claim().said == {} and claim().lacking == ""
+
+
+def test_a_cycle_keeps_nothing_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing collects in the loop, and nothing needs to: neither lists that a later message empties, nor what a violation leaves."""
+    monkeypatch.setattr(monitor, "CYCLES", 3000)
+    path = tmp_path / "arm.model.json"
+    daemon, bus, clock = monitor.prepared(save_model(monitor.torque_input(0.4), path), path, motion(0, 1500))
+    gc.collect()
+    gc.disable()
+    try:
+        for k, frames in enumerate(bus.cycles):
+            if k == 1000:
+                before = sys.getallocatedblocks()
+            bus.ready = frames
+            clock.now += daemon.cycle_s
+            daemon.cycle()
+        grown = sys.getallocatedblocks() - before
+    finally:
+        gc.enable()
+    assert daemon.tally.samples > 2900 and grown < 300, f"{grown} blocks in 2000 cycles"

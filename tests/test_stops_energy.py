@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from core_calls import largest_energy
+from core_calls import largest_energy, range_struct
 from stop_sampling import sample_stops, tightness
 from stop_tubes import tube_of
-from stopset.core.library import check, given, lib, view
+from stopset.core.library import check, lib, view
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS
@@ -201,9 +201,11 @@ def test_largest_energy_is_the_largest_of_the_box() -> None:
 
 
 def test_power_looks_at_the_directions_that_are_possible() -> None:
-    numbers = [np.array(x) for x in ([4.0, 4.0], [6.0, 6.0], [-1.0, -1.0], [1.0, 1.0], [10.0, 10.0])]
-    lo, hi = np.zeros(2), np.zeros(2)
-    lib.stopset_power_excess(2, *(view(x) for x in numbers), view(lo), view(hi))
+    (gravity, _g), (u, _u) = (
+        range_struct(np.array(a), np.array(b)) for a, b in (([4.0, 4.0], [6.0, 6.0]), ([-1.0, -1.0], [1.0, 1.0]))
+    )
+    lo, hi, brake = np.zeros(2), np.zeros(2), np.array([10.0, 10.0])
+    lib.stopset_power_excess(2, gravity, u, view(brake), view(lo), view(hi))
     # backward a joint may fall with gravity, 6 + 1 - 10; forward it only rises against it, 1 - 4 - 10
     assert lo.tolist() == [-3.0, -3.0] and hi.tolist() == [-13.0, -13.0]
 
@@ -228,7 +230,8 @@ def most_power(w: np.ndarray, v: np.ndarray, p: np.ndarray, z: float) -> float:
 
 def after(y: float, w: np.ndarray, v: np.ndarray, p: np.ndarray, h: float) -> float:
     out = np.empty(1)
-    check(lib.stopset_energy_after(w.shape[1], y, *(view(given(x)) for x in (*w, *v, *p)), h, view(out)))
+    (excess, _w), (speeds, _v), (momenta, _p) = (range_struct(*x) for x in (w, v, p))
+    check(lib.stopset_energy_after(w.shape[1], y, excess, speeds, momenta, h, view(out)))
     return float(out[0])
 
 

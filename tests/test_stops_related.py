@@ -23,6 +23,8 @@ from stopset.types import Array
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms_wide import cobot7_like, random_arm, ur10e_like
 
+from core_calls import range_struct, states_struct
+
 
 class Case(NamedTuple):
     """A box around a pose: angles and speeds (n,), and dry friction."""
@@ -59,8 +61,9 @@ def case_of(plant: Plant, seed: int, size: float, most: int = 99) -> Case:
 def rates(plant: Plant, c: Case, claim: Array, related: bool, parts: Parts = ALL_PARTS) -> Array:
     """(4, n): forward lo, hi, backward lo, hi, as long as no acceleration is larger than its claim."""
     struct, _held = plant_struct(plant)
-    out, inputs = np.empty((4, len(c.q))), [view(given(y)) for y in (c.q, *c.x, *c.w, *c.B, claim)]
-    check(lib.stopset_acceleration_bounds(struct, *inputs, int(related), ffi.new("StopsetParts *", tuple(parts)), view(out)))
+    (box, _box), (dry, _dry), out = states_struct(c.q, c.x, c.w), range_struct(*c.B), np.empty((4, len(c.q)))
+    part = ffi.new("StopsetParts *", tuple(parts))
+    check(lib.stopset_acceleration_bounds(struct, box, dry, view(given(claim)), int(related), part, view(out)))
     return out
 
 

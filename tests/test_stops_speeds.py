@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Model
-from stopset.core.library import check, ffi, given, lib, view
+from stopset.core.library import check, ffi, lib, view
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.tube import Plant, plant_struct
@@ -20,6 +20,8 @@ from stopset.types import Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms_wide import cobot7_like, random_arm, ur10e_like
+
+from core_calls import range_struct, states_struct
 
 
 class Case(NamedTuple):
@@ -57,8 +59,8 @@ def case_of(model: Model, seed: int, size: float, rotor: float, momentum: float 
 def bounds(c: Case, parts: Parts = ALL_PARTS) -> Array:
     """(4, n): speeds lo, hi; momenta of joints that do not move backward, lo, and forward, hi."""
     struct, _held = plant_struct(c.plant)
-    out, boxes = np.empty((4, len(c.q))), [view(given(y)) for y in (c.q, *c.x, *c.v, *c.p)]
-    check(lib.stopset_speed_bounds(struct, *boxes, ffi.new("StopsetParts *", tuple(parts)), view(out)))
+    (box, _box), (p, _p), out = states_struct(c.q, c.x, c.v), range_struct(*c.p), np.empty((4, len(c.q)))
+    check(lib.stopset_speed_bounds(struct, box, p, ffi.new("StopsetParts *", tuple(parts)), view(out)))
     return out
 
 

@@ -246,6 +246,10 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         return float(x)
     if not isinstance(x, kind) or (kind is int and isinstance(x, bool)):
         raise ConfigError(f"{where} is {x!r}; expected {kind.__name__}")
+    if (
+        isinstance(x, str) and not x.isprintable()
+    ):  # no file, key or address has them, and some calls end in an error of Python's own
+        raise ConfigError(f"{where} is {x!r}; expected text without control characters")
     return x
 
 
@@ -359,6 +363,8 @@ def load_config(path: str | Path) -> Config:
     zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
     state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
     journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
+    if not journal.name or journal.is_dir():
+        raise ConfigError(f"{p}: journal is {config.journal!r}, a folder; expected the name of a file")
     record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
     return dataclasses.replace(
         config, model=str(here / config.model), zenoh=zenoh,

@@ -152,7 +152,7 @@ class Daemon:
             self.recorder.trace.state(int(turn.state))
         if sample is not None:
             self.tally.states[turn.state.name] += 1
-            self.tally.busy.append(self.clock.monotonic() - begin)
+            self.tally.busy.add(self.clock.monotonic() - begin)
         self._slow_messages(begin, turn)
         self._fault = ""
 
@@ -166,7 +166,7 @@ class Daemon:
         t.verdicts[v.conformance.value] += 1
         t.outside_domain += bool(v.outside)
         delay = self.clock.time_ns() * 1e-9 - s.t
-        t.delays.append(delay)
+        t.delays.add(delay)
         self._late_in_a_row = self._late_in_a_row + 1 if delay > self.limits.valid_for else 0
         t.late += self._late_in_a_row > 0
         self.desk.offer(s.t, s.q, s.dq)

@@ -12,6 +12,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,10 @@ _F32, _U32 = struct.Struct("<f"), struct.Struct("<I")
 LARGEST_F32 = float(np.finfo(np.float32).max)
 _STRUCT = struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in FIELDS))
 LENGTH = _STRUCT.size
+_PLACES = [  # of every field's number, or numbers, among all
+    (f.name, at if f.count == 1 else slice(at, at + f.count))
+    for f, at in zip(FIELDS, accumulate((f.count for f in FIELDS), initial=0), strict=False)
+]
 
 
 def offsets() -> dict[str, int]:
@@ -161,8 +166,8 @@ def unpack(data: bytes) -> dict[str, Any]:
     """Field values of a message; raises `BusError` if it is not one or was damaged on the way. Who sent it is not checked."""
     if len(data) != LENGTH:
         raise BusError(f"state message has {len(data)} bytes, expected {LENGTH}; sender and reader have different versions")
-    items = iter(_STRUCT.unpack(data))
-    out: dict[str, Any] = {f.name: next(items) if f.count == 1 else tuple(next(items) for _ in range(f.count)) for f in FIELDS}
+    items = _STRUCT.unpack(data)
+    out: dict[str, Any] = {name: items[place] for name, place in _PLACES}
     if out["magic"] != MAGIC or out["layout_version"] != LAYOUT_VERSION or out["length"] != LENGTH:
         raise BusError(f"state message has magic {out['magic']:#x}, version {out['layout_version']}; expected {LAYOUT_VERSION}")
     for iso, castagnoli in CHECKED:

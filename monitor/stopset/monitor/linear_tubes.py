@@ -131,7 +131,8 @@ class LinearTubes:
 
     def deviations(self, x: Array) -> tuple[Deviation, ...]:
         """What of the reading ``x`` (2n,) is outside, each against the prediction that it contradicts worst."""
-        return tuple(self._deviation(x, int(i), int(side)) for side, i in np.argwhere(self._row >= 0))
+        # from a list: of a tuple that a generator fills Python keeps its pieces for another time
+        return tuple([self._deviation(x, int(i), int(side)) for side, i in np.argwhere(self._row >= 0)])
 
     def _deviation(self, x: Array, i: int, side: int) -> Deviation:
         """State ``i``, above (0) or below (1)."""

@@ -89,12 +89,12 @@ class Packer:
         if block is not self._block:
             self._start(block)
             self._block = block
-        v = {**block, **values}
-        _FIRST_STRUCT.pack_into(self._bytes, AT["seq"], *[v[name] for name in _FIRST_NAMES])
+        now = [values[name] if name in values else block[name] for name in _FIRST_NAMES]
+        _FIRST_STRUCT.pack_into(self._bytes, AT["seq"], *now)
         for k, name in enumerate(_NUMBER_NAMES):
-            self._numbers[k] = v[name]
+            self._numbers[k] = values[name] if name in values else block[name]
         lib.stopset_outward(len(_SIDES), self._numbers, self._sides, self._bits)
-        _LAST_STRUCT.pack_into(self._bytes, AT["nonces"], *v["nonces"], 0, v["bad_nodes"], v["dropped"], 0)
+        _LAST_STRUCT.pack_into(self._bytes, AT["nonces"], *values["nonces"], 0, values["bad_nodes"], values["dropped"], 0)
         return self._finish()
 
     def _start(self, values: Mapping[str, Any]) -> None:

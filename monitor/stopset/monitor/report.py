@@ -16,6 +16,7 @@ from stopset.monitor.along import WatchAlong
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.clock import Clock
 from stopset.monitor.config import Config
+from stopset.monitor.durations import Durations
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import Flag, State
@@ -55,8 +56,8 @@ class RunCounts:
     gaps: int = 0
     faults: int = 0
     late: int = 0
-    delays: list[float] = field(default_factory=list)
-    busy: list[float] = field(default_factory=list)
+    delays: Durations = field(default_factory=Durations)
+    busy: Durations = field(default_factory=Durations)
 
 
 class Monitored(Protocol):
@@ -139,19 +140,13 @@ def twin(d: Monitored, turn: Turn) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _middle_and_most(seconds: list[float]) -> dict[str, float]:
-    """[ms]; not by numpy's median, which imports a module when it is first asked, in the loop."""
-    ordered = sorted(seconds) or [0.0]
-    return {"median": 1e3 * 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]), "max": 1e3 * ordered[-1]}
-
-
 def health(d: Monitored) -> dict[str, Any]:
     """The loop, the bus, the process. Resets the timing window."""
     t = d.tally
     out = {
         "t_ns": d.clock.time_ns(), "samples": t.samples, "gaps": t.gaps, "late": t.late, "faults": t.faults,
         "outside_domain": t.outside_domain, "cycles_in_window": len(t.busy),
-        "sync_to_publish_ms": _middle_and_most(t.delays), "loop_busy_ms": _middle_and_most(t.busy),
+        "sync_to_publish_ms": t.delays.middle_and_most(), "loop_busy_ms": t.busy.middle_and_most(),
         "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
         "stop_restarts": d.desk.restarts, "stop_cost": d.desk.spending,
         "realtime": d.granted.said, "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,

@@ -78,8 +78,8 @@ static int on_the_path(const StopsetState *s, const StopsetPassed *p) {
 
 static int bounded_on_path(const StopsetState *s, StopsetWork *w, const StopsetStops *stops, const StopsetBound *out) {
     StopsetPassed passed;
-    const double row = s->r[VR_PATH_ROW], rate = s->r[VR_PATH_RATE];
-    if (stopset_path_stop(stops, &stopset_ramp, &stopset_path, row, rate, w->proof, &passed, out) != STOPSET_OK) return 0;
+    const StopsetRequest request = {s->r[VR_PATH_ROW], s->r[VR_PATH_RATE]};
+    if (stopset_path_stop(stops, &stopset_ramp, &stopset_path, &request, w->proof, &passed, out) != STOPSET_OK) return 0;
     return on_the_path(s, &passed);
 }
 #endif
@@ -110,18 +110,17 @@ static StopsetStops carrying(const StopsetState *s, double pi[NJ][10], double ha
     return out;
 }
 
-static int bounded(const StopsetState *s, StopsetWork *w, int category, const double *q, const double *dq, const double *rq, const double *rdq,
-                   const StopsetBound *out) {
+static int bounded(const StopsetState *s, StopsetWork *w, int category, const StopsetStates *from, const StopsetBound *out) {
     double pi[NJ][10], half[NJ][10];
     const StopsetStops stops = carrying(s, pi, half);
 #if HAS_PATH
     if (category == STOP_PATH) return bounded_on_path(s, w, &stops, out);
 #endif
-    if (category == STOP_0) return stopset_power_off(&stops, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+    if (category == STOP_0) return stopset_power_off(&stops, from, w->proof, out) == STOPSET_OK;
 #if N_STOPS > 1
     const StopsetRamp ramp = ramp_of(s);
-    if (category == STOP_1_FAILED) return stopset_failed_ramp(&stops, &ramp, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
-    return stopset_working_ramp(&stops, &ramp, category == STOP_2, q, dq, rq, rdq, w->proof, out) == STOPSET_OK;
+    if (category == STOP_1_FAILED) return stopset_failed_ramp(&stops, &ramp, from, w->proof, out) == STOPSET_OK;
+    return stopset_working_ramp(&stops, &ramp, category == STOP_2, from, w->proof, out) == STOPSET_OK;
 #else
     return 0;
 #endif
@@ -139,6 +138,7 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
     const StopsetBound out = {c->time, c->forward, c->back, c->speed, c->tool};
     const double *centre = start_of(category, 0), *radius = start_of(category, 1);
     double q[NJ], dq[NJ], rq[NJ], rdq[NJ];
+    const StopsetStates from = {q, dq, rq, rdq};
     box(s, exact || category == STOP_PATH, c); /* on a path there is no box: the bound is that of its row */
     for (int i = 0; i < NJ; i++) {
         q[i] = c->q[i] + centre[i];
@@ -150,7 +150,7 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
     c->row = s->r[VR_PATH_ROW];
     c->rate = s->r[VR_PATH_RATE];
 #endif
-    c->proved = (uint8_t)bounded(s, w, category, q, dq, rq, rdq, &out);
+    c->proved = (uint8_t)bounded(s, w, category, &from, &out);
     c->made = 1;
     c->exact = (uint8_t)exact;
     c->at = s->r[VR_TIME];

@@ -604,6 +604,16 @@ typedef struct {
     const double *M, *g, *size, *load;
 } StopsetCurvature;
 
+/* Numbers (n,) from lo to hi. */
+typedef struct {
+    const double *lo, *hi;
+} StopsetRange;
+
+/* A box of states (n,): angles [rad] in q + [x_lo, x_hi], q 0: the angles themselves; speeds [rad/s], 0: at rest. */
+typedef struct {
+    const double *q, *x_lo, *x_hi, *v_lo, *v_hi;
+} StopsetBox;
+
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
     double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared, held;
@@ -635,60 +645,77 @@ typedef struct {
  * of accelerations, where the arithmetic itself errs by some 1e-13. */
 STOPSET_API extern const double stopset_tube_recentre, stopset_energy_rounding, stopset_rate_rounding;
 
-/* The tube from the box [q_lo, q_hi] x [v0_lo, v0_hi], (n,) each [rad, rad/s], at the cut, in steps of h [s], of at most `brief` from when
- * the first brake may close until all have. Returns how it ends: 0 at rest, 1 still moving at the last step, 2 not provable; negative: a code.
- * `made`: steps that count. */
-STOPSET_API int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo,
-                                  const double *v0_hi, double h, double brief, int64_t steps, const StopsetParts *parts, int energetic,
+/* How a tube is marched: in steps of h [s], of at most `brief` [s] from when the first brake may close until all have, at most `count` of them;
+ * `energetic`: with the kinetic energy's caps. */
+typedef struct {
+    double h, brief;
+    int64_t count;
+    int32_t energetic;
+} StopsetStride;
+
+/* The tube from a box of states (n,) [rad, rad/s] at the cut. Returns how it ends: 0 at rest, 1 still moving at the last step, 2 not provable;
+ * negative: a code. `made`: steps that count. */
+STOPSET_API int stopset_stop_tube(const StopsetPlant *plant, const StopsetBox *box, const StopsetStride *stride, const StopsetParts *parts,
                                   const StopsetTube *tube, int64_t *made);
-/* Inertia M (n, n) [kg m^2], gravity g (n,) [N m] and Christoffel symbols Gamma (n, n, n) [kg m^2] at q and their slopes by q, of the
- * middle payload and of half its range. */
-STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM,
-                               double *Mp, double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap);
-/* For angles in q + [x_lo, x_hi] the inertia lies in M +- dM (n, n), rotors included, and its slopes in those at q, of the same
+
+/* Inertia M (n, n) [kg m^2], gravity g (n,) [N m], their slopes by q, and Christoffel symbols Gamma (n, n, n) [kg m^2]. */
+typedef struct {
+    double *M, *dM, *g, *dg, *Gamma;
+} StopsetExpansion;
+
+/* At q (n,) [rad], of the middle payload, rotors [kg m^2] included, and of half its range. */
+STOPSET_API int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q,
+                               const StopsetExpansion *middle, const StopsetExpansion *half);
+/* For angles in a box (n,) the inertia lies in M +- dM (n, n) [kg m^2], rotors included, and its slopes in those at its pose, of the same
  * payload, +- turn (n, n, n). */
-STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
-                                    const StopsetParts *parts, double *M, double *dM, double *turn);
-/* Accelerations of each joint while it moves forward, lo and hi, and while it moves backward, out (4, n), angles in q + [x_lo, x_hi],
- * speeds in [w_lo, w_hi], dry friction in [B_lo, B_hi], if none is larger than its claim: each row for itself, or `related`. Infinite:
- * no such motion. */
-STOPSET_API int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo,
-                                      const double *w_hi, const double *B_lo, const double *B_hi, const double *claim, int related,
-                                      const StopsetParts *parts, double *out);
-/* What momenta in [p_lo, p_hi] [kg m^2/s] leave of speeds in [v_lo, v_hi] [rad/s], angles in q + [x_lo, x_hi], out (4, n): lo, hi; least momentum of a joint that
- * does not move backward, largest of one that does not move forward. Infinite: nothing known, or no such motion. */
-STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
-                                     const double *v_hi, const double *p_lo, const double *p_hi, const StopsetParts *parts, double *out);
-/* Largest sqrt(v' M v) [(kg m^2)^1/2 rad/s] for speeds in a box (n,) and angles in q + [x_lo, x_hi], rotors included; negative: a code. */
-STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi,
-                                          const double *v_lo, const double *v_hi);
-/* Largest power per speed w (n,) [N m] that gravity in [g_lo, g_hi] and u have beyond the brakes B_lo, backward (w_lo) and forward (w_hi). */
-STOPSET_API int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi,
-                                     const double *B_lo, double *w_lo, double *w_hi);
-/* Bound of sqrt(v' M v) after h seconds from y on which no joint has more power per speed than w_lo backward and w_hi forward, speeds lie in
- * [v_lo, v_hi] and momenta in [p_lo, p_hi], (n,) each. */
-STOPSET_API int stopset_energy_after(int n, double y, const double *w_lo, const double *w_hi, const double *v_lo, const double *v_hi,
-                                     const double *p_lo, const double *p_hi, double h, double *out);
-/* Sets of a point's displacement (S, 3, n + 1), centre first, with balls (S,) [m], and of its velocity, on S slices of displacements
- * and speeds (S, n); or, where that is less, of displacements no farther from [near_lo, near_hi] than the travel left (S, n) allows,
- * as in a tube. */
-STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
-                                   const double *d_hi, const double *v_lo, const double *v_hi, const double *near_lo,
-                                   const double *near_hi, const double *left, int link, const double *point, double *travel, double *travel_ball,
-                                   double *pace, double *pace_ball);
-/* The largest length [m], speed [m/s] and box (3, 2) [m] of such sets. */
-STOPSET_API void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *travel,
-                                      const double *travel_ball, const double *pace, const double *pace_ball, double *far, double *fast,
-                                      double *box);
-/* Capsules (S, n, 7) that contain what the links' own `capsules` (n, 7) [m], in their frames, sweep: both ends [m], radius [m]. */
-STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo,
-                                       const double *d_hi, const double *capsules, double *out);
-/* A tube of K steps cut into at most `count` stretches of about equal travel: border (count + 1,), boxes (count, n) [rad, rad/s];
- * work (K + 1,). Returns how many. */
-STOPSET_API int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi,
-                                   const double *e_lo, const double *e_hi, const double *t, const double *travel_left, int64_t count,
-                                   double *border, double *work, double *out_dl, double *out_dh, double *out_vl, double *out_vh,
-                                   double *near_lo, double *near_hi, double *left);
+STOPSET_API int stopset_inertia_box(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, double *M, double *dM,
+                                    double *turn);
+/* Accelerations [rad/s^2] of each joint while it moves forward, lo and hi, and while it moves backward, out (4, n), in a box of states, `dry` friction (n,)
+ * [N m], if none is larger than its claim: each row for itself, or `related`. Infinite: no such motion. */
+STOPSET_API int stopset_acceleration_bounds(const StopsetPlant *plant, const StopsetBox *box, const StopsetRange *dry, const double *claim,
+                                            int related, const StopsetParts *parts, double *out);
+/* What momenta p (n,) [kg m^2/s] leave of the speeds of a box [rad/s], out (4, n): lo, hi; least momentum of a joint that does not move
+ * backward, largest of one that does not move forward. Infinite: nothing known, or no such motion. */
+STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const StopsetBox *box, const StopsetRange *p, const StopsetParts *parts,
+                                     double *out);
+/* Largest sqrt(v' M v) [(kg m^2)^1/2 rad/s] in a box of states (n,), rotors included; negative: a code. */
+STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const StopsetBox *box);
+/* Largest power per speed w (n,) [N m] that gravity g and u have beyond the brakes B_lo, backward (w_lo) and forward (w_hi). */
+STOPSET_API int stopset_power_excess(int n, const StopsetRange *g, const StopsetRange *u, const double *B_lo, double *w_lo, double *w_hi);
+/* Bound of sqrt(v' M v) after h [s] from y on which no joint has more power per speed than w.lo backward and w.hi forward [N m], with speeds v
+ * [rad/s] and momenta p [kg m^2/s], (n,) each. */
+STOPSET_API int stopset_energy_after(int n, double y, const StopsetRange *w, const StopsetRange *v, const StopsetRange *p, double h, double *out);
+/* A tube cut into stretches of about equal travel: what holds on each, (count, n) [rad, rad/s]; from [near_lo, near_hi] on no more than the
+ * travel `left` [rad], as in a tube: these may be 0, not known. */
+typedef struct {
+    int64_t count;
+    double *border;                    /* (count + 1,) [s] */
+    double *d_lo, *d_hi, *v_lo, *v_hi;
+    double *near_lo, *near_hi, *left;
+} StopsetSlices;
+
+/* A point of a link, (3,) [m] in its frame. */
+typedef struct {
+    int32_t link;
+    const double *at;
+} StopsetPoint;
+
+/* On every slice, displacements and velocities (count, 3, n + 1) [m, m/s], centre first, with balls (count,). */
+typedef struct {
+    double *travel, *travel_ball, *pace, *pace_ball;
+} StopsetPointSets;
+
+/* A tube of K steps, n joints, cut into at most `out->count` slices, which is then how many they are; work (K + 1,) [rad]. */
+STOPSET_API void stopset_slices(const StopsetTube *tube, int64_t K, int n, double *work, StopsetSlices *out);
+/* Sets of a point's displacement [m] and of its velocity, angles (n,) [rad] at the cut in q +- q_radius. */
+STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, const StopsetSlices *slices,
+                                   const StopsetPoint *point, const StopsetPointSets *out);
+/* The largest length [m], speed [m/s] and box (3, 2) [m] of `count` such sets. */
+STOPSET_API void stopset_point_motion(const StopsetArm *arm, const StopsetPoint *point, int64_t count, const StopsetPointSets *sets,
+                                      double *far, double *fast, double *box);
+/* Capsules (count, n, 7) that contain what the links' own `capsules` (n, 7) [m], in their frames, sweep: both ends [m], radius [m]. */
+STOPSET_API int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, const StopsetSlices *slices,
+                                       const double *capsules, double *out);
 /* ---- stops/bound.c: one stop from a box of states, as a loop asks for it */
 
 /* Rough length of a stop [s] from q [rad] at speeds (n,) [rad/s], to choose the time step: until the brakes hold, and the slowest joint's
@@ -781,23 +808,25 @@ typedef struct {
     const double *residual_lo, *residual_hi;                       /* [rad/s] what drives still give while their power goes */
 } StopsetRamp;
 
+/* A box of measured states: q +- q_radius [rad], dq +- dq_radius [rad/s], (n,) each. */
+typedef struct {
+    const double *q, *dq, *q_radius, *dq_radius;
+} StopsetStates;
+
 /* Friction and u at angles in [q_lo, q_hi] (n,) [rad], no joint faster than speed (n,) [rad/s]: out (6, n) [N m, N m s/rad] dry lo,
  * hi, viscous lo, hi, u lo, hi. STOPSET_NO_BOUND + k: the k-th law gives no number there; negative: a code. */
 STOPSET_API int stopset_friction_over(const StopsetPlant *plant, const StopsetTorques *torques, const double *q_lo, const double *q_hi,
                                       const double *speed, double *out);
 /* Numbers that `work` below has to hold. */
 STOPSET_API int64_t stopset_stop_room(int n);
-/* The stop from every state in q +- q_radius [rad], dq +- dq_radius [rad/s], (n,) each. 0: bounded; 1: not provable, then `out` holds
- * nothing of use; negative: a code. */
-STOPSET_API int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius,
-                                  const double *dq_radius, double *work, const StopsetBound *out);
-/* The same, from states (n,) [rad, rad/s], of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of
- * the bound. */
-STOPSET_API int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *ramp, int stays, const double *q, const double *dq,
-                                     const double *q_radius, const double *dq_radius, double *work, const StopsetBound *out);
+/* The stop from every state in a box (n,) [rad, rad/s]. 0: bounded; 1: not provable, then `out` holds nothing of use; negative: a code. */
+STOPSET_API int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out);
+/* The same (n,) [rad, rad/s] of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of the bound. */
+STOPSET_API int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *ramp, int stays, const StopsetStates *from, double *work,
+                                     const StopsetBound *out);
 /* Of a ramp that fails in any way, from requests (n,) [rad, rad/s]: from every state in which power can then be taken. */
-STOPSET_API int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *ramp, const double *q, const double *dq,
-                                    const double *q_radius, const double *dq_radius, double *work, const StopsetBound *out);
+STOPSET_API int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetStates *from, double *work,
+                                    const StopsetBound *out);
 
 /* ---- stops/path.c: STOP 1 along a programmed path q = p(s), a cubic between two knots */
 
@@ -828,12 +857,17 @@ typedef struct {
     double *s, *q, *dq;     /* (poses,), (poses, n) [rad], [rad/s], in `work` */
 } StopsetPassed;
 
+/* Where on a path a stop is asked for [1], and how fast [1/s]. */
+typedef struct {
+    double s, rate;
+} StopsetRequest;
+
 /* Numbers that `work` below has to hold. */
 STOPSET_API int64_t stopset_path_room(int n);
-/* The shortest stop from s [1] at `rate` [1/s] along the path within the drives' torque: `passed`, and bounds `out` of displacements (n,)
+/* The shortest stop along the path within the drives' torque: `passed`, and bounds `out` of displacements (n,)
  * [rad], speeds [rad/s], time [s] and tool [m, m/s]. 0: bounded; STOPSET_PATH_..: why not; from STOPSET_PATH_UNSEEN on both are filled all the same. */
-STOPSET_API int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetPath *path, double s, double rate,
-                                  double *work, StopsetPassed *passed, const StopsetBound *out);
+STOPSET_API int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetPath *path,
+                                  const StopsetRequest *request, double *work, StopsetPassed *passed, const StopsetBound *out);
 /* cffi end */
 
 

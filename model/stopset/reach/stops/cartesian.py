@@ -13,7 +13,7 @@ Source: stop notes of the project, section on Cartesian bounds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,10 +45,19 @@ class Slices(NamedTuple):
 def slices(tube: Tube, count: int) -> Slices:
     """Cut a tube into at most ``count`` stretches of about equal travel of its middle."""
     K, n = len(tube.t) - 1, tube.d_lo.shape[1]
-    held = [given(x) for x in (tube.d_lo, tube.d_hi, tube.v_lo, tube.v_hi, tube.e_lo, tube.e_hi, tube.t, tube.travel_left)]
+    held = {name: given(getattr(tube, name)) for name in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi", "travel_left")}
     border, work, out = np.zeros(count + 1), np.empty(K + 1), np.zeros((7, count, n))
-    made = lib.stopset_slices(K, n, *(view(x) for x in held), count, view(border), view(work), *(view(x) for x in out))
-    return Slices(border[: made + 1], *out[:, :made])
+    lines = ffi.new("StopsetTube *", {name: view(x) for name, x in held.items()})
+    cut = ffi.new("StopsetSlices *", (count, view(border), *(view(x) for x in out)))
+    lib.stopset_slices(lines, K, n, view(work), cut)
+    return Slices(border[: cut.count + 1], *out[:, : cut.count])
+
+
+def slices_struct(parts: Slices) -> tuple[Any, list[Array | None]]:
+    """``StopsetSlices`` to be read, and what must live as long."""
+    held = [None if x is None else given(x) for x in parts[1:]]
+    boxes = [ffi.NULL if x is None else view(x) for x in held]
+    return ffi.new("StopsetSlices *", (len(parts.d_lo), ffi.NULL, *boxes)), held
 
 
 class Reached(NamedTuple):
@@ -79,15 +88,17 @@ def reached(
     if not all(0 <= x < n for x in links) or q.shape != (n,) or q_radius.shape != (n,) or at.shape != (len(links), 3):
         raise ValueError(f"points {at.shape} of links {list(links)} at {q.shape} +- {q_radius.shape} for {n} joints")
     count, held = len(links), [given(x) for x in (q, q_radius)]
-    pose, box = [view(x) for x in held], [ffi.NULL if x is None else view(given(x)) for x in parts[1:]]
+    cut, _held = slices_struct(parts)
+    pose = [view(x) for x in held]
     sets, balls, boxes = np.empty((count, 2, S, 3, n + 1)), np.empty((count, 2, S)), np.empty((count, 3, 2))
     arm, most = arm_struct(chain, None), ffi.new("double[2]")
     x, s, b, hull = (ffi.cast("double *", view(a)) for a in (at, sets, balls, boxes))
     out, size = [], S * 3 * (n + 1)
     for k, link in enumerate(links):
-        own = (s + 2 * k * size, b + 2 * k * S, s + (2 * k + 1) * size, b + (2 * k + 1) * S)
-        check(lib.stopset_point_sets(arm, *pose, S, *box, link, x + 3 * k, *own))
-        lib.stopset_point_motion(arm, S, link, x + 3 * k, *own, most, most + 1, hull + 6 * k)
+        own = ffi.new("StopsetPointSets *", (s + 2 * k * size, b + 2 * k * S, s + (2 * k + 1) * size, b + (2 * k + 1) * S))
+        point = ffi.new("StopsetPoint *", (link, x + 3 * k))
+        check(lib.stopset_point_sets(arm, *pose, cut, point, own))
+        lib.stopset_point_motion(arm, point, S, own, most, most + 1, hull + 6 * k)
         out.append(Reached(most[0], most[1], boxes[k], sets[k, 0], balls[k, 0], sets[k, 1], balls[k, 1]))
     return out
 
@@ -103,7 +114,8 @@ def swept_capsules(chain: Chain, q: Array, q_radius: Array, tube: Tube, capsules
     if q.shape != (n,) or q_radius.shape != (n,) or capsules.shape != (n, 7):
         raise ValueError(f"a pose {q.shape} +- {q_radius.shape}, capsules {capsules.shape} for {n} joints")
     out = np.empty((S, n, 7))
-    held = [given(x) for x in (q, q_radius, cut.d_lo, cut.d_hi, capsules)]
-    pose, radius, lo, hi, own = (view(x) for x in held)
-    check(lib.stopset_swept_capsules(arm_struct(chain, None), pose, radius, S, lo, hi, own, view(out)))
+    held = [given(x) for x in (q, q_radius, capsules)]
+    pose, radius, own = (view(x) for x in held)
+    boxes, _held = slices_struct(cut)
+    check(lib.stopset_swept_capsules(arm_struct(chain, None), pose, radius, boxes, own, view(out)))
     return out

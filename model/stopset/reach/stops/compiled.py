@@ -69,7 +69,9 @@ class CompiledStops:
         if any(x.shape != (n,) for x in box):
             raise ValueError(f"a box of {[x.shape for x in box]} for {n} joints")
         out = [np.empty(k) for k in (n, n, n, n, 2)]
-        tail = (*(view(x) for x in box), view(self._work), ffi.new("StopsetBound *", tuple(view(x) for x in out)))
+        held = [given(x) for x in box]
+        states = ffi.new("StopsetStates *", tuple(view(x) for x in held))
+        tail = states, view(self._work), ffi.new("StopsetBound *", tuple(view(x) for x in out))
         if category == "0":
             code = lib.stopset_power_off(self.struct, *tail)
         elif self.ramp is None:

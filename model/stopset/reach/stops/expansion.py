@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.core.library import check, given, lib, view
+from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.gravity import gravity_curvature
 from stopset.robot.rigid import Chain, arm_struct
 from stopset.types import Array
@@ -83,7 +83,11 @@ def expand(chain: Chain, pi: Array, pi_half: Array, rotor: Array, q: Array) -> E
         raise ValueError(f"a pose {q.shape} with rotors {rotor.shape}, half a payload {pi_half.shape}")
     one, two, three = (n,), (n, n), (n, n, n)
     shapes = (two, three, two, three, one, two, one, two, three, three)
-    out = [np.empty(s) for s in shapes]
+    M, dM, Mp, dMp, g, dg, gp, dgp, Gamma, Gammap = out = [np.empty(s) for s in shapes]
     held = [given(x) for x in (pi_half, rotor, q)]
-    check(lib.stopset_expand(arm_struct(chain, pi), *(view(x) for x in held), *(view(x) for x in out)))
+    middle, half = (
+        ffi.new("StopsetExpansion *", tuple(view(x) for x in part))
+        for part in ((M, dM, g, dg, Gamma), (Mp, dMp, gp, dgp, Gammap))
+    )
+    check(lib.stopset_expand(arm_struct(chain, pi), *(view(x) for x in held), middle, half))
     return Expansion(q.copy(), *out)

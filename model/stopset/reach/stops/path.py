@@ -156,7 +156,8 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
     struct = ffi.new("StopsetPath *", {"pieces": len(path.coefficient)} | {k: view(x) for k, x in fields.items()})
     passed, out = ffi.new("StopsetPassed *"), [np.empty(k) for k in (n, n, n, n, 2)]
     bound = ffi.new("StopsetBound *", tuple(view(x) for x in out))
-    code = lib.stopset_path_stop(core.struct, core.braking, struct, s0, ds, view(work), passed, bound)
+    request = ffi.new("StopsetRequest *", (s0, ds))
+    code = lib.stopset_path_stop(core.struct, core.braking, struct, request, view(work), passed, bound)
     check(-min(code, 0))
     if code == lib.STOPSET_OUT_OF_RANGE:
         raise NotCovered(

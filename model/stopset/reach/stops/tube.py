@@ -146,17 +146,9 @@ def march(plant: Plant, q: Box, dq: Box, steps: Stride, parts: Parts, *, energet
     rates, margin = np.empty((4, count, n)), np.empty(n)
     lines = [view(x) for x in (t, *knots[:4], *ends)]
     tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin), view(knots[4])))
-    end = lib.stopset_stop_tube(
-        struct,
-        *(view(x) for x in box),
-        steps.h,
-        steps.brief,
-        count,
-        ffi.new("StopsetParts *", tuple(parts)),
-        int(energetic),
-        tube,
-        made,
-    )
+    states = ffi.new("StopsetBox *", (ffi.NULL, *(view(x) for x in box)))
+    stride = ffi.new("StopsetStride *", (steps.h, steps.brief, count, int(energetic)))
+    end = lib.stopset_stop_tube(struct, states, stride, ffi.new("StopsetParts *", tuple(parts)), tube, made)
     check(-min(end, 0))
     m = made[0]
     d_lo, d_hi, v_lo, v_hi, travel_left = knots[:, : m + 1]

@@ -6,6 +6,7 @@ import gzip
 import math
 import re
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import TextIO
 
@@ -26,7 +27,7 @@ def read_log(path: str | Path) -> Iterator[Frame]:
     """Classic data frames in file order; raises `RecordingError` for a file that is none of candump, ASC, BLF, TRC."""
     p = Path(path)
     if not p.is_file():
-        what = "is a directory" if p.is_dir() else "no such file"
+        what = "is a folder without a bag's metadata.yaml" if p.is_dir() else "no such file"
         raise RecordingError(f"{p}: {what}; expected a candump (.log), ASC, BLF or TRC log")
     suffix = log_suffix(p)
     if suffix not in LOG_SUFFIXES:
@@ -51,30 +52,51 @@ def _frames(p: Path, suffix: str) -> Iterator[Frame]:
                 yield Frame(m.arbitration_id, m.data, m.timestamp)
 
 
-# what candump shows on the screen: "(1436509052.249713)  can0  123   [2]  11 22"; stamps with -t a only
-_SCREEN = re.compile(r"^\s*(?:\(([\d.]+)\)\s+)?\S+\s+([0-9A-Fa-f]{3,8})\s+\[(\d)\]((?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$")
+# what candump shows on the screen: "(1436509052.249713)  can0  123   [2]  11 22"; with -x "RX - -" before the identifier, with -a
+# the bytes as text behind; of CAN FD the length has two digits
+_SCREEN = re.compile(
+    r"^\s*(?:\(([\d.: -]+)\)\s+)?\S+\s+(?:[RT]X\s+\S+\s+\S+\s+)?([0-9A-Fa-f]{3,8})\s+\[(\d+)\]((?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*|ERRORFRAME)?$"
+)
+_LOGGED = re.compile(r"^\s*\([\d.]+\)\s+\S+\s+[0-9A-Fa-f]+#")  # "(1436509052.249713) can0 123#1122"
+_CLASSIC = 8  # bytes
 
 
 def _screen_lines(p: Path) -> Iterator[Frame] | None:
-    """Frames of a log in candump's screen format; None if it is another. Raises ValueError for lines that are none, or unstamped."""
+    """Frames of a log in candump's screen format; None if it is its own. Raises ValueError for lines that are none, or unstamped."""
     with _opened(p) as f:
         first = next((line for line in f if line.strip()), "")
+    if first and not _SCREEN.match(first) and not _LOGGED.match(first):
+        raise ValueError(f"its first line is not candump's: {first.strip()[:60]!r}")
     return _frames_of_screen(p) if _SCREEN.match(first) else None
 
 
 def _opened(p: Path) -> TextIO:
-    return gzip.open(p, "rt", errors="replace") if p.suffix.lower() == ".gz" else p.open(errors="replace")
+    opened = gzip.open if p.suffix.lower() == ".gz" else open
+    return opened(p, "rt", encoding="utf-8-sig", errors="replace")
 
 
 def _frames_of_screen(p: Path) -> Iterator[Frame]:
     with _opened(p) as f:
+        began = last = math.nan
         for number, line in enumerate(f, 1):
             found = _SCREEN.match(line)
             if found is None and line.strip() and "remote request" not in line:
                 raise ValueError(f"line {number} is not candump's")
-            if found is None or len(found[2]) > 3:  # an extended identifier
+            if found is None or len(found[2]) > 3 or int(found[3]) > _CLASSIC:  # an extended identifier, an error, CAN FD
                 continue
             data = bytes.fromhex(found[4])
             if found[1] is None or len(data) != int(found[3]):
                 raise ValueError(f"line {number} has no absolute stamp (candump -t a), or not the bytes it says")
-            yield Frame(int(found[2], 16), data, float(found[1]))
+            t = _stamp(found[1])
+            began = t if math.isnan(began) else began
+            if began == 0.0 and t < last:
+                raise ValueError(
+                    f"line {number}: its stamps are the pauses between frames (candump -t d), of which some may be lost; use -t a"
+                )
+            last = t
+            yield Frame(int(found[2], 16), data, t)
+
+
+def _stamp(text: str) -> float:
+    """[s] of "1436509052.249713" (-t a, -t z) or, at this place's time, "2015-07-10 05:10:52.249713" (-t A)."""
+    return float(text) if text.count("-") < 2 else datetime.fromisoformat(text).timestamp()

@@ -105,7 +105,7 @@ void stops_guess(const StopAsk *a, Region *region) {
     const StopsetTorques *torques = a->stops->torques;
     region->known = region->asked = 0;
     for (int i = 0; torques && i < a->stops->plant.arm.n; i++) {
-        const double fast = size_of(a->dq[i]) + a->dq_radius[i], speed = 1.05 * fast + 0.05, limit = torques->speed[i];
+        const double fast = size_of(a->from.dq[i]) + a->from.dq_radius[i], speed = 1.05 * fast + 0.05, limit = torques->speed[i];
         region->travel[i] = 1.1 * a->lasts * fast + 0.01;
         region->speed[i] = fast < limit ? least(speed, limit) : speed;
     }
@@ -117,8 +117,8 @@ static int asked(const StopAsk *a, Region *region) {
     double lo[SN], hi[SN];
     if (region->asked) return 1;
     for (int i = 0; i < s->plant.arm.n; i++) {
-        lo[i] = a->q[i] - a->q_radius[i] - region->travel[i];
-        hi[i] = a->q[i] + a->q_radius[i] + region->travel[i];
+        lo[i] = a->from.q[i] - a->from.q_radius[i] - region->travel[i];
+        hi[i] = a->from.q[i] + a->from.q_radius[i] + region->travel[i];
     }
     region->asked = stopset_friction_over(&s->plant, s->torques, lo, hi, region->speed, region->friction) == STOPSET_OK;
     return region->asked;
@@ -157,11 +157,12 @@ int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int 
     for (int i = 0; i < n; i++) {
         first = least(first, delay_lo[i]);
         last = most(last, delay_hi[i] + s->plant.rise_hi[i]);
-        q_lo[i] = a->q[i] - a->q_radius[i];
-        q_hi[i] = a->q[i] + a->q_radius[i];
-        v_lo[i] = a->dq[i] - a->dq_radius[i];
-        v_hi[i] = a->dq[i] + a->dq_radius[i];
+        q_lo[i] = a->from.q[i] - a->from.q_radius[i];
+        q_hi[i] = a->from.q[i] + a->from.q_radius[i];
+        v_lo[i] = a->from.dq[i] - a->from.dq_radius[i];
+        v_hi[i] = a->from.dq[i] + a->from.dq_radius[i];
     }
+    const StopsetBox box = {0, q_lo, q_hi, v_lo, v_hi};
     for (int k = 0; k < REGIONS; k++) {
         /* laws that look at the rigid body look at every joint: there the guess mostly has to be mended */
         const int coarse = s->torques && s->torques->needs && !region->known, steps = coarse ? knots / COARSE : knots, brief = coarse ? closing / COARSE : closing;
@@ -169,8 +170,8 @@ int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int 
         StopsetPlant plant = s->torques ? stops_with_friction(&s->plant, region->friction) : s->plant;
         plant.delay_lo = delay_lo;
         plant.delay_hi = delay_hi;
-        const int end = stopset_stop_tube(&plant, q_lo, q_hi, v_lo, v_hi, a->lasts / steps, (last - first) / brief, steps * patience + brief,
-                                          &stops_whole, energetic, &a->tube, &a->made);
+        const StopsetStride stride = {a->lasts / steps, (last - first) / brief, steps * patience + brief, energetic};
+        const int end = stopset_stop_tube(&plant, &box, &stride, &stops_whole, &a->tube, &a->made);
         if (!s->torques) {
             extent(a, fastest, moved);
             return end == 0;
@@ -201,17 +202,20 @@ double stops_rests_after(const StopAsk *a, int i) {
 /* How far the tool gets from where it was [m], and how fast it is [m/s]. */
 static void tool_motion(const StopAsk *a, const double *q, const double *q_radius, double *far, double *fast) {
     const StopsetArm *arm = &a->stops->plant.arm;
-    const StopsetTube *t = &a->tube;
     const int n = arm->n, m = 3 * (n + 1);
+    const StopsetPoint tool = {n - 1, a->stops->tool};
     double *room = a->cut, border[SLICES + 1], box[6];
-    double *dl = take(&room, SLICES * n), *dh = take(&room, SLICES * n), *vl = take(&room, SLICES * n), *vh = take(&room, SLICES * n);
-    double *near_lo = take(&room, SLICES * n), *near_hi = take(&room, SLICES * n), *left = take(&room, SLICES * n);
-    double *travel = take(&room, SLICES * m), *pace = take(&room, SLICES * m), *travel_ball = take(&room, SLICES), *pace_ball = take(&room, SLICES);
-    const int64_t cut =
-        stopset_slices(a->made, n, t->d_lo, t->d_hi, t->v_lo, t->v_hi, t->e_lo, t->e_hi, t->t, t->travel_left, SLICES, border, a->lines, dl, dh,
-                       vl, vh, near_lo, near_hi, left);
-    stopset_point_sets(arm, q, q_radius, cut, dl, dh, vl, vh, near_lo, near_hi, left, n - 1, a->stops->tool, travel, travel_ball, pace, pace_ball);
-    stopset_point_motion(arm, cut, n - 1, a->stops->tool, travel, travel_ball, pace, pace_ball, far, fast, box);
+    StopsetSlices cut = {.count = SLICES, .border = border};
+    StopsetPointSets sets;
+    double **const lines[] = {&cut.d_lo, &cut.d_hi, &cut.v_lo, &cut.v_hi, &cut.near_lo, &cut.near_hi, &cut.left};
+    for (int k = 0; k < 7; k++) *lines[k] = take(&room, SLICES * n);
+    sets.travel = take(&room, SLICES * m);
+    sets.pace = take(&room, SLICES * m);
+    sets.travel_ball = take(&room, SLICES);
+    sets.pace_ball = take(&room, SLICES);
+    stopset_slices(&a->tube, a->made, n, a->lines, &cut);
+    stopset_point_sets(arm, q, q_radius, &cut, &tool, &sets);
+    stopset_point_motion(arm, &tool, cut.count, &sets, far, fast, box);
 }
 
 void stops_widen(const StopAsk *a, const double *q, const double *q_radius, const double fastest[SN], const StopsetBound *out) {
@@ -248,22 +252,21 @@ void stops_begin(StopAsk *a, double *work, const StopsetBound *out) {
     out->tool[0] = out->tool[1] = 0.0;
 }
 
-int stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *q_radius, const double *dq_radius,
-                      double *work, const StopsetBound *out) {
+int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out) {
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN];
     Region region[2];
-    StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
     stops_begin(&a, work, out);
-    for (int i = 0; i < n; i++) speed[i] = size_of(dq[i]) + dq_radius[i];
-    a.lasts = stopset_expected_stop(&stops->plant, q, speed);
+    for (int i = 0; i < n; i++) speed[i] = size_of(from->dq[i]) + from->dq_radius[i];
+    a.lasts = stopset_expected_stop(&stops->plant, from->q, speed);
     for (int k = 0; k < 2; k++) stops_guess(&a, region + k); /* the kinetic energy's tubes lead farther */
     /* the latest brakes are the hardest: what cannot be proved is known at once */
     for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {
         if (!stops_march(&a, lo[k], hi[k], 0, region, fastest) && !stops_march(&a, lo[k], hi[k], 1, region + 1, fastest)) return 1;
         for (int i = 0; i < n; i++) out->time[i] = most(out->time[i], stops_rests_after(&a, i));
-        stops_widen(&a, q, q_radius, fastest, out);
+        stops_widen(&a, from->q, from->q_radius, fastest, out);
     }
     return STOPSET_OK;
 }

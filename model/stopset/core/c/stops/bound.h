@@ -13,7 +13,7 @@ typedef struct {
 /* A stop from the box q +- q_radius, dq +- dq_radius, (n,) each, of some `lasts` seconds; `tube` has `made` steps. */
 typedef struct {
     const StopsetStops *stops;
-    const double *q, *dq, *q_radius, *dq_radius;
+    StopsetStates from;
     double lasts;
     double *lines, *cut; /* of the slices: work of stopset_slices, boxes and sets */
     StopsetTube tube;

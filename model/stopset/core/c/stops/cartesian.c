@@ -70,11 +70,18 @@ typedef struct {
     Point start;
 } Asked;
 
+/* The point at the middle of a box, half the box's widths, and how far it is from every axis anywhere in it. */
+typedef struct {
+    Point here;
+    double wide[SN], reach[SN];
+} Middle;
+
 /* Set of displacements (3, n + 1) for joints in [d_lo, d_hi], and on from there while sum_i of travel / left_i <= 1 (left 0: not at all): the
- * point moves by no more than max_i reach_i left_i. `here`, `reach`: at the middle, and from everywhere. Returns the ball's radius. */
-static double displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Point *here, double *wide, double *reach,
-                        double *travel) {
+ * point moves by no more than max_i reach_i left_i. Returns the ball's radius. */
+static double displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Middle *middle, double *travel) {
     const int n = a->arm->n, m = n + 1;
+    double *wide = middle->wide, *reach = middle->reach;
+    Point *here = &middle->here;
     double c[SN], r[SN], far[SN], at[SN], farther = 0.0;
     for (int i = 0; i < n; i++) {
         c[i] = 0.5 * (d_lo[i] + d_hi[i]);
@@ -103,47 +110,48 @@ static double span_of(const double *travel, int m, int link, double ball) {
     return longest(from, travel + 1, m, one, link) + ball;
 }
 
-int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
-                       const double *v_lo, const double *v_hi, const double *near_lo, const double *near_hi, const double *left, int link,
-                       const double *point, double *travel, double *travel_ball, double *pace, double *pace_ball) {
-    const int n = arm->n, m = n + 1;
-    Asked a = {arm, q, q_radius, point, link, {{0}, {0}, {0}}};
-    Point here, there;
-    double wide[SN], fast[SN], reach[SN], other[SN], widest[SN], set[3 * (SN + 1)];
+int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, const StopsetSlices *slices, const StopsetPoint *point,
+                       const StopsetPointSets *out) {
+    const int n = arm->n, m = n + 1, link = point->link;
+    double *travel = out->travel, *pace = out->pace, fast[SN], set[3 * (SN + 1)];
+    Asked a = {arm, q, q_radius, point->at, link, {{0}, {0}, {0}}};
+    Middle middle, other;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    locate(arm, q, link, point, &a.start);
-    memset(travel, 0, (size_t)(S * 3 * m) * sizeof *travel);
-    memset(pace, 0, (size_t)(S * 3 * m) * sizeof *pace);
-    for (int64_t s = 0; s < S; s++, travel += 3 * m, pace += 3 * m) {
-        travel_ball[s] = displaced(&a, d_lo + s * n, d_hi + s * n, 0, &here, wide, reach, travel);
+    locate(arm, q, link, point->at, &a.start);
+    memset(travel, 0, (size_t)(slices->count * 3 * m) * sizeof *travel);
+    memset(pace, 0, (size_t)(slices->count * 3 * m) * sizeof *pace);
+    for (int64_t s = 0; s < slices->count; s++, travel += 3 * m, pace += 3 * m) {
+        const int64_t at = s * n;
+        out->travel_ball[s] = displaced(&a, slices->d_lo + at, slices->d_hi + at, 0, &middle, travel);
         for (int i = 0; i <= link; i++) {
-            const double vc = 0.5 * (v_lo[s * n + i] + v_hi[s * n + i]), vr = 0.5 * (v_hi[s * n + i] - v_lo[s * n + i]);
+            const double lo = slices->v_lo[at + i], hi = slices->v_hi[at + i], vc = 0.5 * (lo + hi), vr = 0.5 * (hi - lo);
             fast[i] = size_of(vc) + vr;
             for (int x = 0; x < 3; x++) {
-                pace[x * m + i + 1] = here.J[x * n + i] * vr;
-                pace[x * m] += here.J[x * n + i] * vc;
+                pace[x * m + i + 1] = middle.here.J[x * n + i] * vr;
+                pace[x * m] += middle.here.J[x * n + i] * vc;
             }
         }
-        pace_ball[s] = curved(reach, wide, fast, link);
-        if (!left || !(left[s * n] < STOPS_INF)) continue;
+        out->pace_ball[s] = curved(middle.reach, middle.wide, fast, link);
+        if (!slices->left || !(slices->left[at] < STOPS_INF)) continue;
         memset(set, 0, sizeof set);
-        const double ball = displaced(&a, near_lo + s * n, near_hi + s * n, left + s * n, &there, widest, other, set);
-        if (!(span_of(set, m, link, ball) < span_of(travel, m, link, travel_ball[s]))) continue;
+        const double ball = displaced(&a, slices->near_lo + at, slices->near_hi + at, slices->left + at, &other, set);
+        if (!(span_of(set, m, link, ball) < span_of(travel, m, link, out->travel_ball[s]))) continue;
         memcpy(travel, set, (size_t)(3 * m) * sizeof *travel);
-        travel_ball[s] = ball;
+        out->travel_ball[s] = ball;
     }
     return STOPSET_OK;
 }
 
-void stopset_point_motion(const StopsetArm *arm, int64_t S, int link, const double *point, const double *travel, const double *travel_ball,
-                          const double *pace, const double *pace_ball, double *far, double *fast, double *box) {
-    const int m = arm->n + 1;
-    double reach = sqrt(dot(point, point)), one[SN];
+void stopset_point_motion(const StopsetArm *arm, const StopsetPoint *point, int64_t count, const StopsetPointSets *sets, double *far,
+                          double *fast, double *box) {
+    const int m = arm->n + 1, link = point->link;
+    const double *travel = sets->travel, *travel_ball = sets->travel_ball, *pace = sets->pace, *pace_ball = sets->pace_ball;
+    double reach = sqrt(dot(point->at, point->at)), one[SN];
     *far = *fast = 0.0;
     memset(box, 0, 6 * sizeof *box);
     for (int i = 1; i <= link; i++) reach += sqrt(dot(arm->p + 3 * i, arm->p + 3 * i));
     for (int i = 0; i <= link; i++) one[i] = 1.0;
-    for (int64_t s = 0; s < S; s++, travel += 3 * m, pace += 3 * m) {
+    for (int64_t s = 0; s < count; s++, travel += 3 * m, pace += 3 * m) {
         const double from[3] = {travel[0], travel[m], travel[2 * m]}, going[3] = {pace[0], pace[m], pace[2 * m]};
         *far = most(*far, longest(from, travel + 1, m, one, link) + travel_ball[s]);
         *fast = most(*fast, longest(going, pace + 1, m, one, link) + pace_ball[s]);
@@ -175,12 +183,13 @@ static double ends_move(const StopsetArm *arm, const double *at, const double *r
 
 /* However far joints turn, a link stays in a ball about the origin of each joint before it: as wide as that origin moves and the links
  * from there are long. Where angles are wide the best of these balls is smaller than what the slopes tell. */
-int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, int64_t S, const double *d_lo, const double *d_hi,
-                           const double *capsules, double *out) {
+int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double *q_radius, const StopsetSlices *slices, const double *capsules,
+                           double *out) {
+    const double *d_lo = slices->d_lo, *d_hi = slices->d_hi;
     const int n = arm->n;
     double at[SN], r[SN], pivot[6 * SN], pivot_moves[SN];
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    for (int64_t s = 0; s < S; s++) {
+    for (int64_t s = 0; s < slices->count; s++) {
         for (int i = 0; i < n; i++) {
             at[i] = q[i] + 0.5 * (d_lo[s * n + i] + d_hi[s * n + i]);
             r[i] = 0.5 * (d_hi[s * n + i] - d_lo[s * n + i]) + q_radius[i];
@@ -221,51 +230,58 @@ static int64_t nearest(int n, int64_t last, const double *d_lo, const double *d_
     return best;
 }
 
-int64_t stopset_slices(int64_t K, int n, const double *d_lo, const double *d_hi, const double *v_lo, const double *v_hi, const double *e_lo,
-                       const double *e_hi, const double *t, const double *travel_left, int64_t count, double *border, double *work,
-                       double *out_dl, double *out_dh, double *out_vl, double *out_vh, double *near_lo, double *near_hi, double *left) {
-    int64_t begin = 0, made = 0;
-    double *travel = work;
+/* What holds of joint i from knot `begin` to `end`: displacements, then speeds. */
+static void stretch(const StopsetTube *t, int n, int i, int64_t begin, int64_t end, double out[4]) {
+    double dl = STOPS_INF, dh = -STOPS_INF, vl = STOPS_INF, vh = -STOPS_INF;
+    for (int64_t k = begin; k <= end; k++) {
+        const int64_t at = k * n + i;
+        dl = least(dl, t->d_lo[at]);
+        dh = most(dh, t->d_hi[at]);
+        vl = least(vl, t->v_lo[at]);
+        vh = most(vh, t->v_hi[at]);
+        if (k == end) continue;
+        vl = least(vl, t->e_lo[at]);
+        vh = most(vh, t->e_hi[at]);
+        /* a displacement bound that turns round within a step bulges out by less than half of it */
+        const double h = t->t[k + 1] - t->t[k];
+        if (t->v_hi[at] > 0.0 && t->e_hi[at] <= 0.0) dh = most(dh, t->d_hi[at] + 0.5 * h * t->v_hi[at]);
+        if (t->v_lo[at] < 0.0 && t->e_lo[at] >= 0.0) dl = least(dl, t->d_lo[at] + 0.5 * h * t->v_lo[at]);
+    }
+    out[0] = dl;
+    out[1] = dh;
+    out[2] = vl;
+    out[3] = vh;
+}
+
+void stopset_slices(const StopsetTube *t, int64_t K, int n, double *work, StopsetSlices *out) {
+    const int64_t count = out->count;
+    int64_t begin = 0;
+    double *travel = work, hull[4];
     travel[0] = 0.0;
-    border[0] = 0.0;
+    out->border[0] = 0.0;
+    out->count = 0;
     for (int64_t k = 0; k < K; k++) {
         double sum = 0.0;
-        for (int64_t i = k * n; i < (k + 1) * n; i++) sum += 0.5 * size_of(d_lo[i + n] + d_hi[i + n] - d_lo[i] - d_hi[i]);
+        for (int64_t i = k * n; i < (k + 1) * n; i++) sum += 0.5 * size_of(t->d_lo[i + n] + t->d_hi[i + n] - t->d_lo[i] - t->d_hi[i]);
         travel[k + 1] = travel[k] + sum;
     }
     for (int64_t s = 0; s < count && begin < K; s++) {
         int64_t end = begin + 1;
         while (end < K && (s == count - 1 || travel[end] < travel[K] * (double)(s + 1) / (double)count)) end++;
+        const int64_t from = nearest(n, begin, t->d_lo, t->d_hi, t->travel_left);
         for (int i = 0; i < n; i++) {
-            double dl = STOPS_INF, dh = -STOPS_INF, vl = STOPS_INF, vh = -STOPS_INF;
-            for (int64_t k = begin; k <= end; k++) {
-                const int64_t at = k * n + i;
-                dl = least(dl, d_lo[at]);
-                dh = most(dh, d_hi[at]);
-                vl = least(vl, v_lo[at]);
-                vh = most(vh, v_hi[at]);
-                if (k == end) continue;
-                vl = least(vl, e_lo[at]);
-                vh = most(vh, e_hi[at]);
-                /* a displacement bound that turns round within a step bulges out by less than half of it */
-                const double h = t[k + 1] - t[k];
-                if (v_hi[at] > 0.0 && e_hi[at] <= 0.0) dh = most(dh, d_hi[at] + 0.5 * h * v_hi[at]);
-                if (v_lo[at] < 0.0 && e_lo[at] >= 0.0) dl = least(dl, d_lo[at] + 0.5 * h * v_lo[at]);
-            }
-            out_dl[s * n + i] = dl;
-            out_dh[s * n + i] = dh;
-            out_vl[s * n + i] = vl;
-            out_vh[s * n + i] = vh;
+            const int64_t at = s * n + i;
+            stretch(t, n, i, begin, end, hull);
+            out->d_lo[at] = hull[0];
+            out->d_hi[at] = hull[1];
+            out->v_lo[at] = hull[2];
+            out->v_hi[at] = hull[3];
+            out->near_lo[at] = from < 0 ? 0.0 : t->d_lo[from * n + i];
+            out->near_hi[at] = from < 0 ? 0.0 : t->d_hi[from * n + i];
+            out->left[at] = from < 0 ? STOPS_INF : t->travel_left[from * n + i];
         }
-        const int64_t from = nearest(n, begin, d_lo, d_hi, travel_left);
-        for (int i = 0; i < n; i++) {
-            near_lo[s * n + i] = from < 0 ? 0.0 : d_lo[from * n + i];
-            near_hi[s * n + i] = from < 0 ? 0.0 : d_hi[from * n + i];
-            left[s * n + i] = from < 0 ? STOPS_INF : travel_left[from * n + i];
-        }
-        made = s + 1;
-        border[made] = t[end];
+        out->count = s + 1;
+        out->border[s + 1] = t->t[end];
         begin = end;
     }
-    return made;
 }

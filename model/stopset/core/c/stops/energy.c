@@ -76,10 +76,10 @@ static int inverse(const Local *at, Energy *out) {
 }
 
 /* w_i [N m] of this file's head while joint i moves forward (hi) and backward (lo). */
-void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, Span *w) {
+void stops_power_excess(int n, const Span *g, const StopsetRange *u, const double *B_lo, Span *w) {
     for (int i = 0; i < n; i++) {
-        w->hi[i] = u_hi[i] - e->g_lo[i] - B_lo[i];
-        w->lo[i] = e->g_hi[i] - u_lo[i] - B_lo[i];
+        w->hi[i] = u->hi[i] - g->lo[i] - B_lo[i];
+        w->lo[i] = g->hi[i] - u->lo[i] - B_lo[i];
     }
 }
 
@@ -103,27 +103,35 @@ static void caps(const StopsetPlant *p, Energy *e, double y, const Local *at, co
     e->y = after;
 }
 
-/* Caps of the next step, from angles in E->q + [q_lo, q_hi]; 0 if none can be verified. The caps decide where the arm can be,
+/* Gravity's torque in the box looked at, at rest. */
+static void weight(const Near *near, Span *g) {
+    for (int i = 0; i < near->E.n; i++) {
+        g->lo[i] = most(near->at.h_lo[i], -near->plant->curvature.load[i]);
+        g->hi[i] = least(near->at.h_hi[i], near->plant->curvature.load[i]);
+    }
+}
+
+/* Caps of the next step, from angles in E.q + x; 0 if none can be verified. The caps decide where the arm can be,
  * and that what M can be: they are claimed first, and claimed again while too small. */
-int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                      double h, const StopsetParts *parts, Local *at) {
-    const int n = E->n;
-    const double y = e->y;
-    double x_lo[SN] = {0}, x_hi[SN] = {0}, none[SN] = {0}, w[SN], claim[SN];
-    Span either;
+int stops_step_energy(Near *near, Energy *e, const Span *x, const Step *s) {
+    const StopsetPlant *p = near->plant;
+    const Local *at = &near->at;
+    const StopsetRange u = {p->u_lo, p->u_hi};
+    const int n = near->E.n;
+    const double y = e->y, h = s->h;
+    const Span still = {{0}, {0}};
+    double w[SN], claim[SN];
+    Span either, there = still;
     for (int i = 0; i < n; i++) claim[i] = 1.02 * least(e->cap[i], sqrt(1.0 / (p->rotor[i] - p->rotor_half[i])) * y) + 1e-6;
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
         for (int i = 0; i < n; i++) {
-            x_lo[i] = q_lo[i] - h * claim[i];
-            x_hi[i] = q_hi[i] + h * claim[i];
+            there.lo[i] = x->lo[i] - h * claim[i];
+            there.hi[i] = x->hi[i] + h * claim[i];
         }
-        stops_box_terms(E, &p->curvature, x_lo, x_hi, none, none, parts, at); /* at rest: h is gravity alone */
-        for (int i = 0; i < n; i++) {
-            e->g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
-            e->g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
-        }
-        stops_power_excess(n, e, p->u_lo, p->u_hi, B_lo, &either);
+        stops_box_terms(near, &there, &still, &near->at); /* at rest: h is gravity alone */
+        weight(near, &e->g);
+        stops_power_excess(n, &e->g, &u, s->B_lo, &either);
         for (int i = 0; i < n; i++) w[i] = most(either.lo[i], either.hi[i]);
         caps(p, e, y, at, w, h);
         for (int i = 0; i < n; i++)
@@ -136,17 +144,18 @@ int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, cons
     return 0;
 }
 
-/* More (n,) [N m] that gravity can push per way than in angles E->q + [x_lo, x_hi], joints on from there by ways of which sum_i of
+/* More (n,) [N m] that gravity can push per way than in angles E.q + x, joints on from there by ways of which sum_i of
  * (all of joint i) / way_i <= 1: its work is what its potential differs by, so half of what it changes by. */
-static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_lo, const double *x_hi, const double *travel, double *more) {
+static void heavier(const Near *near, const Span *x, const double *travel, double *more) {
+    const Expansion *E = &near->E;
     const int n = E->n;
     for (int i = 0; i < n; i++) {
         more[i] = 0.0;
         for (int k = 0; k < n; k++) {
-            const double *bend = p->curvature.g + (i * n + k) * n;
+            const double *bend = near->plant->curvature.g + (i * n + k) * n;
             double slope = size_of(E->dg[i * n + k]) + size_of(E->dgp[i * n + k]), on = 0.0;
             for (int o = 0; o < n; o++) {
-                slope += bend[o] * most(size_of(x_lo[o]), size_of(x_hi[o]));
+                slope += bend[o] * most(size_of(x->lo[o]), size_of(x->hi[o]));
                 on = most(on, bend[o] * travel[o]);
             }
             more[i] = most(more[i], 0.5 * least(slope + on, bend[k]) * travel[k]); /* of degree one in q_k: no slope is larger than a second one */
@@ -154,22 +163,20 @@ static void heavier(const StopsetPlant *p, const Expansion *E, const double *x_l
     }
 }
 
-/* How far [rad] each joint can still go forward (hi) and backward (lo) from angles in E->q + [q_lo, q_hi], whenever; 0 if that is not known.
+/* How far [rad] each joint can still go forward (hi) and backward (lo) from angles in E.q + x, whenever; 0 if that is not known.
  * Brakes only gain torque: once all hold more than gravity and u can push, sum_i |w_i| |v_i| takes from y^2 / 2, so joint i goes no farther than
  * y^2 / 2 |w_i|, w_i that of the direction. That decides where gravity is asked for: travel is claimed first, and claimed again while too short. */
-int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                      const StopsetParts *parts, Local *at, Span *travel) {
-    const int n = E->n;
-    const double work = 0.5 * e->y * e->y * stopset_energy_rounding, none[SN] = {0};
+int stops_travel_left(Near *near, const Energy *e, const Span *x, const double *B_lo, Span *travel) {
+    const StopsetPlant *p = near->plant;
+    const StopsetRange u = {p->u_lo, p->u_hi};
+    const int n = near->E.n;
+    const double work = 0.5 * e->y * e->y * stopset_energy_rounding;
+    const Span still = {{0}, {0}};
     double more[SN], claim[SN];
-    Energy here = {0};
-    Span w, left;
-    stops_box_terms(E, &p->curvature, q_lo, q_hi, none, none, parts, at); /* at rest: h is gravity alone */
-    for (int i = 0; i < n; i++) {
-        here.g_lo[i] = most(at->h_lo[i], -p->curvature.load[i]);
-        here.g_hi[i] = least(at->h_hi[i], p->curvature.load[i]);
-    }
-    stops_power_excess(n, &here, p->u_lo, p->u_hi, B_lo, &w);
+    Span g, w, left;
+    stops_box_terms(near, x, &still, &near->at); /* at rest: h is gravity alone */
+    weight(near, &g);
+    stops_power_excess(n, &g, &u, B_lo, &w);
     for (int i = 0; i < n; i++) {
         const double worst = most(w.lo[i], w.hi[i]);
         if (!(worst < 0.0)) return 0;
@@ -177,7 +184,7 @@ int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E
     }
     for (int attempt = 0; attempt < CLAIMS; attempt++) {
         int enough = 1;
-        heavier(p, E, q_lo, q_hi, claim, more);
+        heavier(near, x, claim, more);
         for (int i = 0; i < n; i++) {
             left.lo[i] = least(w.lo[i] + more[i], p->curvature.load[i] - p->u_lo[i] - B_lo[i]);
             left.hi[i] = least(w.hi[i] + more[i], p->curvature.load[i] + p->u_hi[i] - B_lo[i]);
@@ -292,52 +299,37 @@ void stops_cap_bands(int n, Bands *b, const Span *cap) {
 static int beyond(double v, double e, double c) { return (v < 0.0 && e >= 0.0 ? e : 0.5 * (v + e)) > c; }
 
 /* The lines that bound the speeds on a step, lowered to the caps where these are lower, or `alone` the caps. */
-void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone) {
+void stops_cap_lines(int n, const Span *cap, double *const line[4], int alone) {
+    double *v_lo = line[0], *v_hi = line[1], *e_lo = line[2], *e_hi = line[3];
     for (int i = 0; i < n; i++) {
         if (alone || beyond(v_hi[i], e_hi[i], cap->hi[i])) v_hi[i] = e_hi[i] = cap->hi[i];
         if (alone || beyond(-v_lo[i], -e_lo[i], -cap->lo[i])) v_lo[i] = e_lo[i] = cap->lo[i];
     }
 }
 
-double stopset_largest_energy(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo,
-                              const double *v_hi) {
-    const double none[SN] = {0};
-    Expansion E;
-    Local at;
+double stopset_largest_energy(const StopsetPlant *plant, const StopsetBox *box) {
+    Near near;
     if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
-    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
-    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, &stops_whole, &at);
-    return stops_largest(&at, v_lo, v_hi);
+    stops_look_at(plant, box, &stops_whole, 0, &near);
+    return stops_largest(&near.at, box->v_lo, box->v_hi);
 }
 
-int stopset_energy_after(int n, double y, const double *w_lo, const double *w_hi, const double *v_lo, const double *v_hi, const double *p_lo,
-                         const double *p_hi, double h, double *out) {
-    const size_t row = (size_t)n * sizeof *out;
-    Span w, v, p;
+int stopset_energy_after(int n, double y, const StopsetRange *w, const StopsetRange *v, const StopsetRange *p, double h, double *out) {
+    Span excess, speeds, momenta;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    memcpy(w.lo, w_lo, row);
-    memcpy(w.hi, w_hi, row);
-    memcpy(v.lo, v_lo, row);
-    memcpy(v.hi, v_hi, row);
-    memcpy(p.lo, p_lo, row);
-    memcpy(p.hi, p_hi, row);
-    *out = stops_by_power(n, y, &w, &v, &p, h);
+    stops_span(n, w->lo, w->hi, &excess);
+    stops_span(n, v->lo, v->hi, &speeds);
+    stops_span(n, p->lo, p->hi, &momenta);
+    *out = stops_by_power(n, y, &excess, &speeds, &momenta, h);
     return STOPSET_OK;
 }
 
-int stopset_power_excess(int n, const double *g_lo, const double *g_hi, const double *u_lo, const double *u_hi, const double *B_lo, double *w_lo,
-                         double *w_hi) {
-    Energy e;
-    Span w;
+int stopset_power_excess(int n, const StopsetRange *g, const StopsetRange *u, const double *B_lo, double *w_lo, double *w_hi) {
+    Span gravity, w;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    for (int i = 0; i < n; i++) {
-        e.g_lo[i] = g_lo[i];
-        e.g_hi[i] = g_hi[i];
-    }
-    stops_power_excess(n, &e, u_lo, u_hi, B_lo, &w);
-    for (int i = 0; i < n; i++) {
-        w_lo[i] = w.lo[i];
-        w_hi[i] = w.hi[i];
-    }
+    stops_span(n, g->lo, g->hi, &gravity);
+    stops_power_excess(n, &gravity, u, B_lo, &w);
+    memcpy(w_lo, w.lo, (size_t)n * sizeof *w_lo);
+    memcpy(w_hi, w.hi, (size_t)n * sizeof *w_hi);
     return STOPSET_OK;
 }

@@ -111,7 +111,10 @@ static void bends(const Bodies *b, double *ddM) {
                     const Wrench along_with = behind(b, k, w, v);
                     y = less(y, &along_with);
                 }
-                for (int i = 0; i <= j && i < o; i++) ddM[pair(i, j) * PAIRS + pair(o, k)] = along(b, i, &y);
+                for (int i = 0; i <= j && i < o; i++) {
+                    const int m = n - 1 - i, at = bends_of(n, i, j);
+                    ddM[at + (k - i - 1) * m + o - i - 1] = ddM[at + (o - i - 1) * m + k - i - 1] = along(b, i, &y);
+                }
             }
         }
     }
@@ -160,7 +163,8 @@ static void inertia_roots(const Bodies *b, const double *pi, Expansion *E) {
     }
 }
 
-static void slopes(Bodies *b, const double *pi, const double *gravity, double *M, double *dM, double *g, double *dg, double *Gamma) {
+static void slopes(Bodies *b, const double *pi, const double *gravity, const StopsetExpansion *out) {
+    double *M = out->M, *dM = out->dM, *g = out->g, *dg = out->dg, *Gamma = out->Gamma;
     const int n = b->n;
     const double rest[3] = {0, 0, 0};
     double x[3];
@@ -187,11 +191,12 @@ static void slopes(Bodies *b, const double *pi, const double *gravity, double *M
     for (int i = 0; i < n; i++)
         for (int k = 0; k < n; k++)
             for (int j = 0; j < n; j++)
-                Gamma[(i * n + k) * n + j] = 0.5 * (dM[(i * n + k) * n + j] + dM[(i * n + j) * n + k] - dM[(k * n + j) * n + i]);
+                Gamma[(k * n + j) * n + i] = 0.5 * (dM[(i * n + k) * n + j] + dM[(i * n + j) * n + k] - dM[(k * n + j) * n + i]);
 }
 
 void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E) {
     const int n = arm->n;
+    const StopsetExpansion middle = {E->M, E->dM, E->g, E->dg, E->Gamma}, half = {E->Mp, E->dMp, E->gp, E->dgp, E->Gammap};
     Bodies b;
     b.n = E->n = n;
     E->loaded = 0;
@@ -203,13 +208,13 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
     }
     for (int i = 0; i < n; i++) E->solid[i] = 1;
     memset(E->root, 0, (size_t)(n * n) * sizeof *E->root);
-    slopes(&b, arm->pi, arm->gravity, E->M, E->dM, E->g, E->dg, E->Gamma);
+    slopes(&b, arm->pi, arm->gravity, &middle);
     bends(&b, E->ddM);
     inertia_roots(&b, arm->pi, E);
     for (int i = 0; i < n; i++) E->M[i * n + i] += rotor[i];
     for (int r = 0; r < 10; r++) E->loaded |= pi_half[10 * (n - 1) + r] != 0.0;
     if (E->loaded) {
-        slopes(&b, pi_half, arm->gravity, E->Mp, E->dMp, E->gp, E->dgp, E->Gammap);
+        slopes(&b, pi_half, arm->gravity, &half);
         bends(&b, E->ddMp);
         inertia_roots(&b, pi_half, E);
     } else {
@@ -222,22 +227,25 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
     for (int i = 0; i < n * n; i++) E->root[i] = sqrt(E->root[i]);
 }
 
-int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, double *M, double *dM, double *Mp,
-                   double *dMp, double *g, double *dg, double *gp, double *dgp, double *Gamma, double *Gammap) {
+int stopset_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, const StopsetExpansion *middle,
+                   const StopsetExpansion *half) {
     const int n = arm->n;
     Expansion E;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
     const size_t one = (size_t)n * sizeof(double), two = one * (size_t)n, three = two * (size_t)n;
     stops_expand(arm, pi_half, rotor, q, &E);
-    memcpy(M, E.M, two);
-    memcpy(dM, E.dM, three);
-    memcpy(Mp, E.Mp, two);
-    memcpy(dMp, E.dMp, three);
-    memcpy(g, E.g, one);
-    memcpy(dg, E.dg, two);
-    memcpy(gp, E.gp, one);
-    memcpy(dgp, E.dgp, two);
-    memcpy(Gamma, E.Gamma, three);
-    memcpy(Gammap, E.Gammap, three);
+    memcpy(middle->M, E.M, two);
+    memcpy(middle->dM, E.dM, three);
+    memcpy(middle->g, E.g, one);
+    memcpy(middle->dg, E.dg, two);
+    for (int i = 0; i < n; i++)
+        for (int k = 0; k < n * n; k++) {
+            middle->Gamma[i * n * n + k] = E.Gamma[k * n + i];
+            half->Gamma[i * n * n + k] = E.Gammap[k * n + i];
+        }
+    memcpy(half->M, E.Mp, two);
+    memcpy(half->dM, E.dMp, three);
+    memcpy(half->g, E.gp, one);
+    memcpy(half->dg, E.dgp, two);
     return STOPSET_OK;
 }

@@ -33,52 +33,82 @@ static void third_slopes(const Expansion *E, int i, const double *far, const dou
     }
 }
 
-static void inertia(const Expansion *E, const StopsetCurvature *K, const double *mid, const double *rad, const double *far,
-                    const StopsetParts *parts, Local *out) {
+enum { BEND_ROWS = (SN - 1) * SN * (2 * SN - 1) / 6 + (SN - 1) * SN / 2 };
+
+/* Sums of second slopes over all angles of a box, a row of those behind joint i for each M_ij: of all the payload, and of half its range. */
+typedef struct {
+    double all[BEND_ROWS + LANES], half[BEND_ROWS + LANES];
+} Bends;
+
+STOPSET_WIDE static void sum_bends(const Expansion *E, const double *far, Bends *out) {
     const int n = E->n;
-    double root[SN * SN], third[SN], pairs[SN], bend[SN], extra[SN];
+    int row = 0;
+    for (int i = 0; i + 1 < n; i++) {
+        const int m = n - 1 - i;
+        for (int j = i; j < n; j++, row += m) {
+            const double *ddM = E->ddM + bends_of(n, i, j), *ddMp = E->ddMp + bends_of(n, i, j);
+            for (int k = 0; k < m; k += LANES) { /* what is written beyond the row is the next one's, and comes anew */
+                Four all = {0}, half = {0};
+                for (int o = 0; o < m; o++) {
+                    const Four middle = SIZES_OF(*(const Four *)(ddM + o * m + k));
+                    if (E->loaded) {
+                        const Four loaded = SIZES_OF(*(const Four *)(ddMp + o * m + k));
+                        all += (middle + loaded) * far[i + 1 + o];
+                        half += loaded * far[i + 1 + o];
+                    } else
+                        all += middle * far[i + 1 + o];
+                }
+                *(Four *)(out->all + row + k) = all;
+                *(Four *)(out->half + row + k) = half;
+            }
+        }
+    }
+}
+
+static void inertia(const Near *near, const double *mid, const double *rad, const double *far, Local *out) {
+    const Expansion *E = &near->E;
+    const StopsetCurvature *K = &near->plant->curvature;
+    const StopsetParts *parts = near->parts;
+    const int n = E->n;
+    double root[SN * SN], third[SN], pairs[SN];
+    Bends bends;
+    const double *bend = bends.all, *extra = bends.half;
     far_roots(E, far, root);
+    sum_bends(E, far, &bends);
     for (int i = 0; i < n; i++) {
         third_slopes(E, i, far, root, third, pairs);
-        for (int j = i; j < n; j++) {
+        for (int j = i; j < n; j++, bend += n - 1 - i, extra += n - 1 - i) {
             const double *dM = E->dM + (i * n + j) * n, *dMp = E->dMp + (i * n + j) * n;
-            const double *ddM = E->ddM + pair(i, j) * PAIRS, *ddMp = E->ddMp + pair(i, j) * PAIRS;
             double m = E->M[i * n + j], r = 0.0, p = E->Mp[i * n + j], pr = 0.0;
-            for (int k = i + 1; k < n; k++) { /* sums over all o, of which those beyond k come later */
-                const double *row = ddM + pair(0, k), *loaded = ddMp + pair(0, k);
-                bend[k] = extra[k] = 0.0;
-                for (int o = i + 1; o <= k; o++) {
-                    const double second = size_of(row[o]) + (E->loaded ? size_of(loaded[o]) : 0.0);
-                    bend[k] += second * far[o];
-                    if (o < k) bend[o] += second * far[k];
-                    if (!E->loaded) continue;
-                    extra[k] += size_of(loaded[o]) * far[o];
-                    if (o < k) extra[o] += size_of(loaded[o]) * far[k];
-                }
-            }
             for (int k = i + 1; k < n; k++) {
                 const int last = j > k ? j : k;
+                const double bent = bend[k - i - 1];
                 double beyond = 0.0;
                 if (E->solid[last])
                     beyond = third[last];
                 else /* Bernstein: no more than twice the largest second slope of all poses */
                     for (int o = i + 1; o < n; o++) beyond += 2.0 * K->M[((i * n + j) * n + k) * n + o] * pairs[o];
-                double rest = extra[k] + 0.5 * beyond, turn = bend[k] + 0.5 * beyond, bow = 0.5 * bend[k] + beyond / 6.0;
-                if (beyond > bend[k]) { /* a wide box: second slopes over all poses may say more */
+                double rest = extra[k - i - 1] + 0.5 * beyond, turn = bent + 0.5 * beyond, bow = 0.5 * bent + beyond / 6.0;
+                if (beyond > bent) { /* a wide box: second slopes over all poses may say more */
                     double second = 0.0;
                     for (int o = i + 1; o < n; o++) second += K->M[((i * n + j) * n + k) * n + o] * far[o];
                     turn = least(turn, second);
                     bow = least(bow, 0.5 * second);
-                    rest = least(rest, turn + bend[k]);
+                    rest = least(rest, turn + bent);
                 }
                 m += dM[k] * mid[k];
                 p += dMp[k] * mid[k];
                 r += size_of(dM[k]) * rad[k] + parts->bend * bow * far[k];
                 pr += size_of(dMp[k]) * rad[k];
                 out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = parts->bend * turn;
+                out->turn_of[(j * n + k) * n + i] = out->turn_of[(i * n + k) * n + j] = parts->bend * turn;
                 out->rest[(i * n + j) * n + k] = out->rest[(j * n + i) * n + k] = rest;
             }
-            for (int k = 0; k <= i; k++) out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = out->rest[(i * n + j) * n + k] = out->rest[(j * n + i) * n + k] = 0.0;
+            for (int k = 0; k <= i; k++) {
+                out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = 0.0;
+                out->turn_of[(j * n + k) * n + i] = out->turn_of[(i * n + k) * n + j] = 0.0;
+                out->rest[(i * n + j) * n + k] = out->rest[(j * n + i) * n + k] = 0.0;
+            }
             const double scale = i != j ? parts->coupling : 1.0;
             out->M[i * n + j] = out->M[j * n + i] = scale * m;
             out->M_rad[i * n + j] = out->M_rad[j * n + i] = scale * r;
@@ -105,35 +135,46 @@ static void products(int n, const double *vc, const double *vr, const double *va
         }
 }
 
-/* Coriolis torque and the momentum's rate: c, e +- cr, er of joint i. */
-static void velocity_terms(const Expansion *E, const double *turn, int i, const Products *v, double *out) {
+/* Of every joint, the Coriolis torque c +- cr and the momentum's rate e +- er. */
+typedef struct {
+    double c[SN], cr[SN], e[SN], er[SN];
+} Velocity;
+
+STOPSET_WIDE static void velocity_terms(const Expansion *E, const Local *at, const Products *v, Velocity *out) {
     const int n = E->n;
-    const double *G = E->Gamma + i * n * n, *Gp = E->Gammap + i * n * n, *own = turn + i * n * n;
-    double c = 0.0, cr = 0.0, e = 0.0, er = 0.0;
-    int m = 0;
-    for (int k = 0; k < n; k++)
-        for (int o = k; o < n; o++, m++) {
-            const double of_pair = turn[(k * n + o) * n + i];
-            const double beyond = size_of(Gp[k * n + o]) + 0.5 * (own[k * n + o] + own[o * n + k] + of_pair);
-            c += G[k * n + o] * v->middle[m];
-            cr += size_of(G[k * n + o]) * v->spread[m] + beyond * v->largest[m];
-            if (k >= i) continue;
-            const double d = 0.5 * E->dM[(k * n + o) * n + i];
-            e += d * v->middle[m];
-            er += size_of(d) * v->spread[m] + 0.5 * (size_of(E->dMp[(k * n + o) * n + i]) + of_pair) * v->largest[m];
+    for (int i = 0; i < n; i += LANES) {
+        Four c = {0}, cr = {0}, e = {0}, er = {0};
+        int m = 0;
+        for (int k = 0; k < n; k++) {
+            const Choice turned = LANES_FROM(i) > k; /* turning the arm from joint k on turns what is behind it */
+            for (int o = k; o < n; o++, m++) {
+                const int ko = (k * n + o) * n + i, ok = (o * n + k) * n + i;
+                const Four G = *(const Four *)(E->Gamma + ko), Gp = *(const Four *)(E->Gammap + ko), of_pair = *(const Four *)(at->turn + ko);
+                const Four own = *(const Four *)(at->turn_of + ko) + *(const Four *)(at->turn_of + ok);
+                const Four beyond = SIZES_OF(Gp) + 0.5 * (own + of_pair);
+                c += G * v->middle[m];
+                cr += SIZES_OF(G) * v->spread[m] + beyond * v->largest[m];
+                const Four d = 0.5 * *(const Four *)(E->dM + ko), dp = *(const Four *)(E->dMp + ko);
+                const Four rate = d * v->middle[m], loose = SIZES_OF(d) * v->spread[m] + 0.5 * (SIZES_OF(dp) + of_pair) * v->largest[m];
+                e += (Four)((Choice)rate & turned);
+                er += (Four)((Choice)loose & turned);
+            }
         }
-    out[0] = c;
-    out[1] = cr;
-    out[2] = e;
-    out[3] = er;
+        *(Four *)(out->c + i) = c;
+        *(Four *)(out->cr + i) = cr;
+        *(Four *)(out->e + i) = e;
+        *(Four *)(out->er + i) = er;
+    }
 }
 
-/* For angles E->q + [x_lo, x_hi] and speeds [w_lo, w_hi]. */
-void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
-                     const double *w_hi, const StopsetParts *parts, Local *out) {
+void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out) {
+    const Expansion *E = &near->E;
+    const StopsetParts *parts = near->parts;
+    const double *of_gravity = near->plant->curvature.g, *x_lo = x->lo, *x_hi = x->hi, *w_lo = w->lo, *w_hi = w->hi;
     const int n = E->n;
-    double mid[SN], rad[SN], far[SN], vc[SN], vr[SN], va[SN], v[4];
+    double mid[SN], rad[SN], far[SN], vc[SN], vr[SN], va[SN];
     Products speeds;
+    Velocity v;
     out->n = n;
     for (int k = 0; k < n; k++) {
         mid[k] = 0.5 * (x_lo[k] + x_hi[k]);
@@ -147,38 +188,51 @@ void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double
         out->v[k] = vc[k];
         out->v_rad[k] = vr[k];
     }
-    inertia(E, K, mid, rad, far, parts, out);
+    inertia(near, mid, rad, far, out);
     products(n, vc, vr, va, &speeds);
+    velocity_terms(E, out, &speeds, &v);
     for (int i = 0; i < n; i++) {
         double g = E->g[i], r = size_of(E->gp[i]);
         for (int k = 0; k < n; k++) {
             g += parts->gravity_slope * E->dg[i * n + k] * mid[k];
             double second = 0.0;
-            for (int o = 0; o < n; o++) second += K->g[(i * n + k) * n + o] * far[o];
+            for (int o = 0; o < n; o++) second += of_gravity[(i * n + k) * n + o] * far[o];
             r += parts->gravity_slope * (size_of(E->dg[i * n + k]) * rad[k] + (size_of(E->dgp[i * n + k]) + 0.5 * second) * far[k]);
         }
-        velocity_terms(E, out->turn, i, &speeds, v);
         const double share = parts->christoffel;
         out->g_lo[i] = g - r;
         out->g_hi[i] = g + r;
-        out->h_lo[i] = g - r + share * (v[0] - v[1]);
-        out->h_hi[i] = g + r + share * (v[0] + v[1]);
-        out->e_lo[i] = share * (v[2] - v[3]) - g - r;
-        out->e_hi[i] = share * (v[2] + v[3]) - g + r;
+        out->h_lo[i] = g - r + share * (v.c[i] - v.cr[i]);
+        out->h_hi[i] = g + r + share * (v.c[i] + v.cr[i]);
+        out->e_lo[i] = share * (v.e[i] - v.er[i]) - g - r;
+        out->e_hi[i] = share * (v.e[i] + v.er[i]) - g + r;
     }
 }
 
-int stopset_inertia_box(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const StopsetParts *parts,
-                        double *M, double *dM, double *turn) {
+void stops_span(int n, const double *lo, const double *hi, Span *out) {
+    memcpy(out->lo, lo, (size_t)n * sizeof *lo);
+    memcpy(out->hi, hi, (size_t)n * sizeof *hi);
+}
+
+void stops_look_at(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, int rotors, Near *out) {
     const int n = plant->arm.n;
-    const double none[SN] = {0};
-    Expansion E;
-    Local at;
+    Span x, v = {{0}, {0}};
+    out->plant = plant;
+    out->parts = parts;
+    stops_expand(&plant->arm, plant->pi_half, plant->rotor, box->q, &out->E);
+    for (int i = 0; rotors && i < n; i++) out->E.Mp[i * (n + 1)] += plant->rotor_half[i];
+    stops_span(n, box->x_lo, box->x_hi, &x);
+    if (box->v_lo) stops_span(n, box->v_lo, box->v_hi, &v);
+    stops_box_terms(out, &x, &v, &out->at);
+}
+
+int stopset_inertia_box(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, double *M, double *dM, double *turn) {
+    const int n = plant->arm.n;
+    Near near;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
-    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, none, none, parts, &at);
-    memcpy(M, at.M, (size_t)(n * n) * sizeof *M);
-    memcpy(dM, at.dM, (size_t)(n * n) * sizeof *dM);
-    memcpy(turn, at.turn, (size_t)(n * n * n) * sizeof *turn);
+    stops_look_at(plant, box, parts, 0, &near);
+    memcpy(M, near.at.M, (size_t)(n * n) * sizeof *M);
+    memcpy(dM, near.at.dM, (size_t)(n * n) * sizeof *dM);
+    memcpy(turn, near.at.turn, (size_t)(n * n * n) * sizeof *turn);
     return STOPSET_OK;
 }

@@ -7,11 +7,13 @@
  * known within an interval. After that it is later: usually at rest. For every subset g of the joints that may still be in
  * their first excursion, M_gg (v - v0)_g = Q_g - M_gl (v - v0)_l, l: the others, in their later bands.
  */
+#include <stddef.h>
 #include <string.h>
 
 #include "stops.h"
 
-void stops_start_bands(int n, const double *v_lo, const double *v_hi, Bands *b) {
+void stops_start_bands(int n, const Span *v, Bands *b) {
+    const double *v_lo = v->lo, *v_hi = v->hi;
     memset(b, 0, sizeof *b);
     for (int i = 0; i < n; i++) {
         if (v_lo[i] > 0.0 || v_hi[i] < 0.0) {
@@ -57,18 +59,21 @@ static void pull_on(int i, const Local *at, const double *lo, const double *hi, 
         if (j != i) add_product(at->M[i * at->n + j], at->dM[i * at->n + j], lo[j], hi[j], least_, most_);
 }
 
-void stops_start_momentum(const Local *at, const double *v_lo, const double *v_hi, const Bands *b, Momentum *m) {
-    const int n = at->n;
-    memset(m, 0, sizeof *m);
+void stops_start_momentum(const Near *near, const Span *x, const Span *v, const Bands *b, Momentum *m) {
+    const Local *at = &m->start;
+    const int n = near->E.n;
+    memset(m, 0, offsetof(Momentum, start));
+    stops_box_terms(near, x, v, &m->start);
+    m->v0 = *v;
     for (int i = 0; i < n; i++) {
         m->needed[i] = STOPS_INF;
         m->restart_up[i] = -STOPS_INF;
         m->restart_down[i] = STOPS_INF;
         if (b->sign[i] != 0.0) continue;
         double lo, hi, own = at->M[i * n + i] + at->dM[i * n + i];
-        pull_on(i, at, v_lo, v_hi, &lo, &hi);
-        m->restart_up[i] = hi + own * v_hi[i];
-        m->restart_down[i] = lo + own * v_lo[i];
+        pull_on(i, at, v->lo, v->hi, &lo, &hi);
+        m->restart_up[i] = hi + own * v->hi[i];
+        m->restart_down[i] = lo + own * v->lo[i];
     }
 }
 
@@ -91,15 +96,15 @@ static double change_of(const Local *at, const Local *start, int k, double *rad)
 }
 
 /* Least of sign (M_ii v0_i - sum_{l != i} M_il (v - v0)_l - (M - M0) v0): what friction must take for joint i to rest. */
-static double left(int i, double sign, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi, const double *x_lo,
-                   const double *x_hi) {
+static double left(int i, double sign, const Local *at, const Momentum *now, const Span *v) {
+    const double *v0_lo = now->v0.lo, *v0_hi = now->v0.hi;
     const int n = at->n;
     double lo = 0.0, hi = 0.0, rad;
     for (int o = 0; o < n; o++) {
-        const double change = change_of(at, start, i * n + o, &rad), a = rad * most(size_of(v0_lo[o]), size_of(v0_hi[o]));
+        const double change = change_of(at, &now->start, i * n + o, &rad), a = rad * most(size_of(v0_lo[o]), size_of(v0_hi[o]));
         lo += least(-change * v0_lo[o], -change * v0_hi[o]) - a;
         hi += most(-change * v0_lo[o], -change * v0_hi[o]) + a;
-        const double y_lo = o == i ? -v0_hi[o] : x_lo[o] - v0_hi[o], y_hi = o == i ? -v0_lo[o] : x_hi[o] - v0_lo[o];
+        const double y_lo = o == i ? -v0_hi[o] : v->lo[o] - v0_hi[o], y_hi = o == i ? -v0_lo[o] : v->hi[o] - v0_lo[o];
         const double m = at->M[i * n + o], r = at->dM[i * n + o];
         const double p = -(m - r) * y_lo, q = -(m + r) * y_lo, s = -(m - r) * y_hi, t = -(m + r) * y_hi;
         lo += least(least(p, q), least(s, t));
@@ -109,26 +114,30 @@ static double left(int i, double sign, const Local *at, const Local *start, cons
 }
 
 /* retained (n,): least brake impulse that can end a first excursion during this step; inf where none can end. */
-void stops_retained_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
-                            const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *retained) {
+void stops_retained_impulse(const Near *near, const Momentum *m, const Step *s, const Bands *before, const Bands *after, const Span *v,
+                            double *retained) {
+    const Local *at = &near->at;
     for (int i = 0; i < at->n; i++) {
         retained[i] = STOPS_INF;
         if (!before->alive[i] || !after->rested[i]) continue;
-        const double less = least(0.0, h * driven(p, i, at, before, after));
-        retained[i] = m->drive[i] + less + left(i, after->sign[i], at, start, v0_lo, v0_hi, x_lo, x_hi);
+        const double less = least(0.0, s->h * driven(near->plant, i, at, before, after));
+        retained[i] = m->drive[i] + less + left(i, after->sign[i], at, m, v);
     }
 }
 
-/* A step of h seconds on which speeds lie in [x_lo, x_hi], bands going from before to after. */
-void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const Step *s, const Bands *before, const Bands *after,
-                    const double *retained, const double *x_lo, const double *x_hi, double h) {
+/* A step on which speeds lie in v, bands going from before to after. */
+void stops_carry_on(const Near *near, Momentum *m, const Step *s, const Bands *before, const Bands *after, const Span *v,
+                    const double *retained) {
+    const StopsetPlant *p = near->plant;
+    const Local *at = &near->at;
+    const double h = s->h;
     for (int i = 0; i < at->n; i++) {
         const double up = m->up[i], down = m->down[i];
         m->up[i] += h * (at->e_hi[i] + p->u_hi[i] - s->B_later[i]);
         m->down[i] += h * (at->e_lo[i] + p->u_lo[i] + s->B_later[i]);
         if (after->rested[i]) { /* it may rest, and start, at any time of this step */
             double lo, hi;
-            pull_on(i, at, x_lo, x_hi, &lo, &hi);
+            pull_on(i, at, v->lo, v->hi, &lo, &hi);
             m->restart_up[i] = most(m->restart_up[i], hi - least(up, m->up[i]));
             m->restart_down[i] = least(m->restart_down[i], lo - most(down, m->down[i]));
         }
@@ -191,8 +200,8 @@ STOPSET_WIDE static void visit(const double *A, Search *x) {
     x->seen_out |= ~x->inside;
 }
 
-static void begin_search(const Bands *b, const Momentum *m, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi,
-                         const double *lo, const double *hi, Search *x) {
+static void begin_search(const Bands *b, const Momentum *m, const Local *at, const double *lo, const double *hi, Search *x) {
+    const double *v0_lo = m->v0.lo, *v0_hi = m->v0.hi;
     const int n = at->n;
     const size_t row = (size_t)n * sizeof(double);
     double rad;
@@ -212,7 +221,7 @@ static void begin_search(const Bands *b, const Momentum *m, const Local *at, con
         x->Q_lo[i] = m->P_lo[i];
         x->Q_hi[i] = m->P_hi[i];
         for (int o = 0; o < n; o++) {
-            const double change = change_of(at, start, i * n + o, &rad);
+            const double change = change_of(at, &m->start, i * n + o, &rad);
             double a = rad * most(size_of(v0_lo[o]), size_of(v0_hi[o]));
             a += at->dM[i * n + o] * most(size_of(lo[o] - v0_hi[o]), size_of(hi[o] - v0_lo[o]));
             x->Q_lo[i] += least(-change * v0_lo[o], -change * v0_hi[o]) - a;
@@ -222,13 +231,12 @@ static void begin_search(const Bands *b, const Momentum *m, const Local *at, con
 }
 
 /* Bands cut at a knot by the momenta; lo, hi: their hull before, and after. */
-void stops_tighten(Bands *b, const Momentum *m, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi, double *lo,
-                   double *hi) {
+void stops_tighten(Bands *b, const Momentum *m, const Local *at, double *lo, double *hi) {
     const int n = at->n;
     double A[SN * SN];
     int open[SN], count = 0, members = 0;
     Search x;
-    begin_search(b, m, at, start, v0_lo, v0_hi, lo, hi, &x);
+    begin_search(b, m, at, lo, hi, &x);
     memcpy(A, x.M, sizeof A); /* symmetric */
     for (int i = 0; i < n; i++) {
         if (!b->alive[i]) continue;

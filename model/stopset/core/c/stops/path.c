@@ -153,16 +153,19 @@ static void cut(double slope, double rest, double room, double *lo, double *hi) 
     *hi = least(*hi, most(one, other));
 }
 
-/* The decelerations that the torques at both ends of a step allow; whether there are any. */
-static int allowed(const Task *t, const Lines *here, const Lines *next, double x, double step, const double room[SN], double *lo, double *hi) {
-    *lo = -STOPS_INF;
-    *hi = STOPS_INF;
+/* The decelerations from lo to hi that the torques at both ends of a step allow: there are any if they are in order. */
+typedef struct {
+    double lo, hi;
+} Allowed;
+
+static Allowed allowed(const Task *t, const Lines *here, const Lines *next, double x, double step, const double room[SN]) {
+    Allowed out = {-STOPS_INF, STOPS_INF};
     for (int side = 0; side < 2; side++)
         for (int i = 0; i < t->n; i++) {
-            cut(here->a[side][i], here->b[side][i] * x + here->c[side][i], room[i], lo, hi);
-            if (next) cut(next->a[side][i] + 2.0 * step * next->b[side][i], next->b[side][i] * x + next->c[side][i], room[i], lo, hi);
+            cut(here->a[side][i], here->b[side][i] * x + here->c[side][i], room[i], &out.lo, &out.hi);
+            if (next) cut(next->a[side][i] + 2.0 * step * next->b[side][i], next->b[side][i] * x + next->c[side][i], room[i], &out.lo, &out.hi);
         }
-    return *lo <= *hi;
+    return out;
 }
 
 /* Full braking from s = begin at `rate` on a grid of `step`; whether it ends on the path, and no farther than MOST_STEPS. */
@@ -174,16 +177,16 @@ static int brake(const Task *t, double begin, double rate, double step, const do
     lines_at(t, begin, both);
     for (int k = 0; (k + 1) * step <= ahead; k++) {
         const double x = out->x[k], s = begin + (k + 1) * step, whole = -x / (2.0 * step);
-        double lo, hi;
         lines_at(t, least(s, last), both + (k + 1) % 2);
-        if (!allowed(t, both + k % 2, both + (k + 1) % 2, x, step, room, &lo, &hi)) return 0;
+        const Allowed a = allowed(t, both + k % 2, both + (k + 1) % 2, x, step, room);
+        if (!(a.lo <= a.hi)) return 0;
         out->made = k + 1;
-        if (lo <= whole) {
+        if (a.lo <= whole) {
             out->x[k + 1] = 0.0;
-            out->length = (k + whole / lo) * step;
+            out->length = (k + whole / a.lo) * step;
             return 1;
         }
-        out->x[k + 1] = x + 2.0 * step * lo;
+        out->x[k + 1] = x + 2.0 * step * a.lo;
     }
     return 0;
 }
@@ -192,13 +195,13 @@ static int brake(const Task *t, double begin, double rate, double step, const do
 static int shortest(const Task *t, double begin, double rate, StopsetPassed *passed, Profile *out) {
     const double left = t->path->knots[t->path->pieces] - begin;
     const int steps[3] = {ROUGH, GRID, GRID};
-    double room[SN], lo, hi, length = left;
+    double room[SN], length = left;
     Lines here;
     passed->joint = room_of(t, begin, begin, rate, room);
     if (passed->joint >= 0) return STOPSET_PATH_WEAK;
     lines_at(t, begin, &here);
-    (void)allowed(t, &here, 0, rate * rate, 0.0, room, &lo, &hi); /* where there is none the first step finds none either */
-    length = least(length, rate * rate / most(-2.0 * lo, 1e-12 * rate * rate));
+    const Allowed first = allowed(t, &here, 0, rate * rate, 0.0, room); /* where there is none the first step finds none either */
+    length = least(length, rate * rate / most(-2.0 * first.lo, 1e-12 * rate * rate));
     for (int pass = 0; pass < 3; pass++) { /* the region that friction is looked up in holds a stop half as long again */
         passed->joint = room_of(t, begin, begin + least(1.5 * length, left), rate, room);
         if (passed->joint >= 0) return STOPSET_PATH_WEAK;
@@ -326,8 +329,9 @@ static int beyond(const Task *t, double s0) {
 
 int64_t stopset_path_room(int n) { return POSES * (1 + 2 * (int64_t)n); }
 
-int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetPath *path, double s, double rate, double *work,
+int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetPath *path, const StopsetRequest *request, double *work,
                       StopsetPassed *passed, const StopsetBound *out) {
+    const double s = request->s, rate = request->rate;
     Task t = {stops, ramp, path, stops->plant.arm.n, {0}, {0}, {{0}}};
     Profile f;
     double after = 0.0, control = 0.0;

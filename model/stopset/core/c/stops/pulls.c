@@ -166,8 +166,10 @@ typedef struct {
     double W[SN * SN], dMW[SN * SN * SN];
 } Inverse;
 
-static int invert(const Expansion *E, const Local *at, Inverse *out) {
-    const int n = at->n;
+static int invert(const Near *near, Inverse *out) {
+    const Expansion *E = &near->E;
+    const Local *at = &near->at;
+    const int n = E->n;
     memcpy(out->W, at->M, (size_t)(n * n) * sizeof *out->W);
     for (int k = 0; k < n; k++) {
         if (!(out->W[k * n + k] > 1e-6 * at->M[k * n + k])) return 0;
@@ -185,8 +187,10 @@ static int invert(const Expansion *E, const Local *at, Inverse *out) {
 }
 
 /* How far M v can be from M_c v, speeds in v and momenta in p: the box of v alone, or along the angles dM/dq_k W of M_c v = p +- loose. */
-static void looseness(const Expansion *E, const Local *at, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
-    const int n = at->n;
+static void looseness(const Near *near, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
+    const Expansion *E = &near->E;
+    const Local *at = &near->at;
+    const int n = E->n;
     double fast[SN], rest[SN], far[SN];
     for (int j = 0; j < n; j++) fast[j] = largest(v->lo[j], v->hi[j]);
     for (int i = 0; i < n; i++) {
@@ -215,9 +219,8 @@ static void looseness(const Expansion *E, const Local *at, const Inverse *invers
 
 /* For speeds in v and momenta in p: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo); infinite
  * where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
-static void exchange(const StopsetPlant *plant, const Expansion *E, const Local *at, const Inverse *inverse, const StopsetParts *parts, const Span *v,
-                     const Span *p, Span *out, Span *rest) {
-    const int n = at->n;
+static void exchange(const Near *near, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
+    const int n = near->E.n;
     double fast[SN] = {0.0}, push[SN];
     Exchange x;
     x.n = n;
@@ -226,10 +229,10 @@ static void exchange(const StopsetPlant *plant, const Expansion *E, const Local 
     x.p = p;
     x.out = out;
     x.rest = rest;
-    x.shared = parts->shared;
+    x.shared = near->parts->shared;
     for (int i = 0; i < n; i++) fast[i] = largest(v->lo[i], v->hi[i]);
-    stops_slopes(plant, E, at, fast, &x.start, push, x.beyond);
-    looseness(E, at, inverse, v, p, x.loose);
+    stops_slopes(near, fast, &x.start, push, x.beyond);
+    looseness(near, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
         out->lo[i] = -STOPS_INF;
         out->hi[i] = STOPS_INF;
@@ -242,9 +245,10 @@ static void exchange(const StopsetPlant *plant, const Expansion *E, const Local 
 }
 
 /* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */
-static void bow(const Expansion *E, const Local *at, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i, double *lo,
-                double *hi) {
-    const int n = at->n;
+static void bow(const Near *near, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i, double out[2]) {
+    const Expansion *E = &near->E;
+    const Local *at = &near->at;
+    const int n = E->n;
     double value = 0.0, spread = 0.0, scale = 0.0, c[SN], r[SN];
     for (int j = 0; j < n; j++) {
         c[j] = 0.5 * (p->lo[j] + p->hi[j]);
@@ -268,21 +272,23 @@ static void bow(const Expansion *E, const Local *at, const Inverse *inverse, con
         spread += size_of(turned) * r[j];
     }
     spread += stopset_rate_rounding * scale;
-    *lo = value - spread;
-    *hi = value + spread;
+    out[0] = value - spread;
+    out[1] = value + spread;
 }
 
 /* How fast momenta can grow (any) and how fast while the joint moves forward (on), and the same downward, speeds within w. */
-static void rates(const StopsetPlant *p, const Expansion *E, const Local *at, const Inverse *inverse, const Step *s, const Span *w,
-                  const Span *momenta, const StopsetParts *parts, Span *any, Span *on) {
-    double loose[SN];
-    looseness(E, at, inverse, w, momenta, loose);
+static void rates(const Near *near, const Inverse *inverse, const Step *s, const Span *w, const Span *momenta, Span *any, Span *on) {
+    const StopsetPlant *p = near->plant;
+    const Local *at = &near->at;
+    const double share = near->parts->christoffel;
+    double loose[SN], bent[2];
+    looseness(near, inverse, w, momenta, loose);
     for (int i = 0; i < at->n; i++) {
-        double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i], lo, hi;
+        double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i];
         if (inverse) {
-            bow(E, at, inverse, w, momenta, loose, i, &lo, &hi);
-            up = least(up, parts->christoffel * hi - at->g_lo[i] + p->u_hi[i]);
-            down = most(down, parts->christoffel * lo - at->g_hi[i] + p->u_lo[i]);
+            bow(near, inverse, w, momenta, loose, i, bent);
+            up = least(up, share * bent[1] - at->g_lo[i] + p->u_hi[i]);
+            down = most(down, share * bent[0] - at->g_hi[i] + p->u_lo[i]);
         }
         on->hi[i] = up - s->B_lo[i] - p->viscous_lo[i] * most(w->lo[i], 0.0);
         on->lo[i] = down + s->B_lo[i] + p->viscous_lo[i] * most(-w->hi[i], 0.0);
@@ -299,21 +305,28 @@ static void during(int n, const Span *p, const Span *any, double h, Span *out) {
     }
 }
 
-/* Rates, momenta, speeds and pulls on a step of h seconds with speeds in w, from momenta p. */
-static void speak(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, const Span *p, double h,
-                  const StopsetParts *parts, Span *any, Span *on, Span *step, Span *raw, Span *rest) {
+/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), the momenta, what these leave of the speeds, and what
+ * pulls at a joint at rest. */
+typedef struct {
+    Span any, on, momenta, speeds, rest;
+} Pulls;
+
+/* On a step with speeds in w, from momenta p. */
+static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out) {
+    const int n = near->E.n;
     Inverse room;
-    const Inverse *inverse = invert(E, at, &room) ? &room : 0;
-    rates(plant, E, at, 0, s, w, p, parts, any, on);
-    during(at->n, p, any, h, step);
+    const Inverse *inverse = invert(near, &room) ? &room : 0;
+    rates(near, 0, s, w, p, &out->any, &out->on);
+    during(n, p, &out->any, s->h, &out->momenta);
     if (inverse) {
-        rates(plant, E, at, inverse, s, w, step, parts, any, on);
-        during(at->n, p, any, h, step);
+        rates(near, inverse, s, w, &out->momenta, &out->any, &out->on);
+        during(n, p, &out->any, s->h, &out->momenta);
     }
-    exchange(plant, E, at, inverse, parts, w, step, raw, rest);
+    exchange(near, inverse, w, &out->momenta, &out->speeds, &out->rest);
 }
 
-void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p) {
+void stops_start_pulls(const Local *at, const Span *v, Span *p) {
+    const double *v_lo = v->lo, *v_hi = v->hi;
     const int n = at->n;
     for (int i = 0; i < n; i++) {
         double scale = 0.0, loose = 0.0;
@@ -328,17 +341,18 @@ void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, 
     }
 }
 
-/* Speeds on a step of h seconds from angles in E->q + [q_lo, q_hi], speeds [v_lo, v_hi] and momenta p, no faster than `fastest`: claimed, and
- * claimed again while too small; in the end no more is claimed than `fastest`. */
-void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
-                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap) {
-    const int n = E->n;
-    double x_lo[SN] = {0}, x_hi[SN] = {0};
-    Span claim, any, on, step, raw, rest;
+/* Speeds on a step from angles in E.q + x, speeds v and momenta p, no faster than `fastest`: claimed, and claimed again while too small; in the
+ * end no more is claimed than `fastest`. */
+void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const double *fastest, const Step *s, Span *cap) {
+    const int n = near->E.n;
+    const double h = s->h;
+    Span claim, there = {{0}, {0}};
+    Pulls found;
+    const Span *raw = &found.speeds;
     for (int i = 0; i < n; i++) {
-        const double room = 0.05 * (v_hi[i] - v_lo[i]) + 0.02;
-        claim.lo[i] = most(-fastest[i], v_lo[i] - room);
-        claim.hi[i] = least(fastest[i], v_hi[i] + room);
+        const double room = 0.05 * (v->hi[i] - v->lo[i]) + 0.02;
+        claim.lo[i] = most(-fastest[i], v->lo[i] - room);
+        claim.hi[i] = least(fastest[i], v->hi[i] + room);
     }
     for (int attempt = 0;; attempt++) { /* what is claimed last is enough */
         int enough = 1;
@@ -347,59 +361,61 @@ void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double
                 claim.lo[i] = -fastest[i];
                 claim.hi[i] = fastest[i];
             }
-            x_lo[i] = q_lo[i] + h * least(claim.lo[i], 0.0);
-            x_hi[i] = q_hi[i] + h * most(claim.hi[i], 0.0);
+            there.lo[i] = x->lo[i] + h * least(claim.lo[i], 0.0);
+            there.hi[i] = x->hi[i] + h * most(claim.hi[i], 0.0);
         }
-        stops_box_terms(E, &plant->curvature, x_lo, x_hi, claim.lo, claim.hi, parts, at);
-        speak(plant, E, at, s, &claim, p, h, parts, &any, &on, &step, &raw, &rest);
+        stops_box_terms(near, &there, &claim, &near->at);
+        pulls_on(near, s, &claim, p, &found);
         for (int i = 0; i < n; i++) {
-            if (!(raw.lo[i] > claim.lo[i]) && claim.lo[i] > -fastest[i]) {
+            if (!(raw->lo[i] > claim.lo[i]) && claim.lo[i] > -fastest[i]) {
                 enough = 0;
-                claim.lo[i] = most(-fastest[i], raw.lo[i] - 0.1 * (claim.lo[i] - raw.lo[i]) - 0.01);
+                claim.lo[i] = most(-fastest[i], raw->lo[i] - 0.1 * (claim.lo[i] - raw->lo[i]) - 0.01);
             }
-            if (!(raw.hi[i] < claim.hi[i]) && claim.hi[i] < fastest[i]) {
+            if (!(raw->hi[i] < claim.hi[i]) && claim.hi[i] < fastest[i]) {
                 enough = 0;
-                claim.hi[i] = least(fastest[i], raw.hi[i] + 0.1 * (raw.hi[i] - claim.hi[i]) + 0.01);
+                claim.hi[i] = least(fastest[i], raw->hi[i] + 0.1 * (raw->hi[i] - claim.hi[i]) + 0.01);
             }
         }
         if (enough) break;
     }
     for (int i = 0; i < n; i++) {
-        cap->lo[i] = most(claim.lo[i], raw.lo[i]);
-        cap->hi[i] = least(claim.hi[i], raw.hi[i]);
+        cap->lo[i] = most(claim.lo[i], raw->lo[i]);
+        cap->hi[i] = least(claim.hi[i], raw->hi[i]);
     }
 }
 
-/* Momenta after a step of h seconds on which `at` holds and speeds lie in w; `step`: cut to what they are on it. */
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, Span *step) {
-    const int n = at->n;
-    Span any, on, now, raw, rest;
-    speak(plant, E, at, s, w, p, h, parts, &any, &on, &now, &raw, &rest);
+/* Momenta after a step whose box was looked at and on which speeds lie in w; `step`: cut to what they are on it. */
+void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span *step) {
+    const int n = near->E.n, pulled = near->parts->pull > 0.0;
+    const double h = s->h;
+    Pulls found;
+    const Span *any = &found.any, *on = &found.on, *rest = &found.rest;
+    pulls_on(near, s, w, p, &found);
     for (int i = 0; i < n; i++) {
-        const double hi = p->hi[i] + h * any.hi[i], lo = p->lo[i] + h * any.lo[i], push = most(0.0, h * on.hi[i]), back = least(0.0, h * on.lo[i]);
-        const double pull_hi = parts->pull > 0.0 ? rest.hi[i] + push : -STOPS_INF, pull_lo = parts->pull > 0.0 ? rest.lo[i] + back : STOPS_INF;
-        const double forward = w->hi[i] < 0.0 ? rest.hi[i] : most(p->hi[i] + h * on.hi[i], pull_hi);
-        const double backward = w->lo[i] > 0.0 ? rest.lo[i] : least(p->lo[i] + h * on.lo[i], pull_lo);
-        const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any.lo[i], any.hi[i]));
-        step->lo[i] = most(step->lo[i], now.lo[i] - slack);
-        step->hi[i] = least(step->hi[i], now.hi[i] + slack);
+        const double hi = p->hi[i] + h * any->hi[i], lo = p->lo[i] + h * any->lo[i], push = most(0.0, h * on->hi[i]), back = least(0.0, h * on->lo[i]);
+        const double pull_hi = pulled ? rest->hi[i] + push : -STOPS_INF, pull_lo = pulled ? rest->lo[i] + back : STOPS_INF;
+        const double forward = w->hi[i] < 0.0 ? rest->hi[i] : most(p->hi[i] + h * on->hi[i], pull_hi);
+        const double backward = w->lo[i] > 0.0 ? rest->lo[i] : least(p->lo[i] + h * on->lo[i], pull_lo);
+        const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any->lo[i], any->hi[i]));
+        step->lo[i] = most(step->lo[i], found.momenta.lo[i] - slack);
+        step->hi[i] = least(step->hi[i], found.momenta.hi[i] + slack);
         p->hi[i] = least(hi, w->lo[i] > 0.0 ? hi : forward) + slack;
         p->lo[i] = most(lo, w->hi[i] < 0.0 ? lo : backward) - slack;
     }
 }
 
 /* At a moment: speeds in v cut by momenta in p, and these by the speeds. Returns a bound of sqrt(v' M v). */
-double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local *at, const StopsetParts *parts, Span *p, Span *v) {
-    const int n = at->n;
+double stops_pull_cut(const Near *near, Span *p, Span *v) {
+    const int n = near->E.n;
     double power = 0.0;
     Span raw, rest, known;
     Inverse inverse;
-    stops_start_pulls(at, v->lo, v->hi, &known);
+    stops_start_pulls(&near->at, v, &known);
     for (int i = 0; i < n; i++) {
         p->lo[i] = most(p->lo[i], known.lo[i]);
         p->hi[i] = least(p->hi[i], known.hi[i]);
     }
-    exchange(plant, E, at, invert(E, at, &inverse) ? &inverse : 0, parts, v, p, &raw, &rest);
+    exchange(near, invert(near, &inverse) ? &inverse : 0, v, p, &raw, &rest);
     for (int i = 0; i < n; i++) {
         v->lo[i] = most(v->lo[i], raw.lo[i]);
         v->hi[i] = least(v->hi[i], raw.hi[i]);
@@ -408,23 +424,17 @@ double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local
     return sqrt(most(power, 0.0)) * stopset_energy_rounding;
 }
 
-int stopset_speed_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *v_lo, const double *v_hi,
-                         const double *p_lo, const double *p_hi, const StopsetParts *parts, double *out) {
+int stopset_speed_bounds(const StopsetPlant *plant, const StopsetBox *box, const StopsetRange *p, const StopsetParts *parts, double *out) {
     const int n = plant->arm.n;
     const size_t row = (size_t)n * sizeof *out;
-    Expansion E;
-    Local at;
+    Near near;
     Inverse inverse;
-    Span v, p, speeds, rest;
+    Span v, momenta, speeds, rest;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
-    for (int i = 0; i < n; i++) E.Mp[i * (n + 1)] += plant->rotor_half[i];
-    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, v_lo, v_hi, parts, &at);
-    memcpy(v.lo, v_lo, row);
-    memcpy(v.hi, v_hi, row);
-    memcpy(p.lo, p_lo, row);
-    memcpy(p.hi, p_hi, row);
-    exchange(plant, &E, &at, invert(&E, &at, &inverse) ? &inverse : 0, parts, &v, &p, &speeds, &rest);
+    stops_look_at(plant, box, parts, 1, &near);
+    stops_span(n, box->v_lo, box->v_hi, &v);
+    stops_span(n, p->lo, p->hi, &momenta);
+    exchange(&near, invert(&near, &inverse) ? &inverse : 0, &v, &momenta, &speeds, &rest);
     memcpy(out, speeds.lo, row);
     memcpy(out + n, speeds.hi, row);
     memcpy(out + 2 * n, rest.lo, row);

@@ -13,15 +13,20 @@ static const double ANGLE_WEIGHT = 3.0; /* [1/s] harm of a wide angle against a 
 
 static double clip(double x, double lo, double hi) { return x < lo ? lo : x > hi ? hi : x; }
 
-/* Displacement and speed of joint i at t from speed v: latest start and gentlest ramp, or the opposite. */
-static void curve(const StopsetRamp *r, int i, double v, double t, int slow, double pace, double *d, double *w) {
+typedef struct {
+    double travel, speed;
+} Motion;
+
+/* Of joint i at t from speed v: latest start and gentlest ramp, or the opposite. */
+static Motion curve(const StopsetRamp *r, int i, double v, double t, int slow, double pace) {
     const double begin = slow ? r->control_hi[i] : r->control_lo[i], gentle = slow == (r->timed != 0) ? r->value_hi[i] : r->value_lo[i];
     const double lasts = r->timed ? gentle : size_of(v) / gentle;
     const double s = clip((t - begin) / most(lasts, 1e-12), 0.0, 1.0);
     const double path_time = least(t, begin) + lasts * (s - 0.5 * s * s); /* [s] of the programmed motion that were run through */
     const double share = 1.0 + pace * path_time;
-    *d = v * (share > 0.0 ? path_time + 0.5 * pace * path_time * path_time : -0.5 / least(pace, -1e-12));
-    *w = v * (1.0 - s) * most(share, 0.0);
+    const Motion out = {v * (share > 0.0 ? path_time + 0.5 * pace * path_time * path_time : -0.5 / least(pace, -1e-12)),
+                        v * (1.0 - s) * most(share, 0.0)};
+    return out;
 }
 
 /* The ramp from all speeds of the box as a tube of KNOTS steps; returns its largest speeds. */
@@ -30,13 +35,13 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
     const int n = a->stops->plant.arm.n;
     double end = -STOPS_INF, hasty = most(size_of(r->pace[0]), size_of(r->pace[1]));
     for (int i = 0; i < n; i++) {
-        const double fast = most(size_of(a->dq[i] - a->dq_radius[i]), size_of(a->dq[i] + a->dq_radius[i]));
+        const double fast = most(size_of(a->from.dq[i] - a->from.dq_radius[i]), size_of(a->from.dq[i] + a->from.dq_radius[i]));
         end = most(end, r->control_hi[i] + (r->timed ? r->value_hi[i] : fast / r->value_lo[i]));
     }
     a->made = KNOTS;
     for (int k = 0; k <= KNOTS; k++) tube->t[k] = k < KNOTS ? k * (end / KNOTS) : end;
     for (int i = 0; i < n; i++) {
-        const double v[2] = {a->dq[i] - a->dq_radius[i], a->dq[i] + a->dq_radius[i]}, fast = most(size_of(v[0]), size_of(v[1]));
+        const double v[2] = {a->from.dq[i] - a->from.dq_radius[i], a->from.dq[i] + a->from.dq_radius[i]}, fast = most(size_of(v[0]), size_of(v[1]));
         const double shortest = r->timed ? r->value_lo[i] : fast / r->value_hi[i];
         /* between knots a speed that bends leaves its chord by an eighth of its second derivative times the step squared */
         const double bend = fast * hasty * 3.0 / most(shortest, 1e-3) * (tube->t[1] * tube->t[1]) / 8.0;
@@ -45,12 +50,11 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
             const int at = k * n + i;
             double d_lo = STOPS_INF, d_hi = -STOPS_INF, w_lo = STOPS_INF, w_hi = -STOPS_INF;
             for (int corner = 0; corner < 8; corner++) {
-                double d, w;
-                curve(r, i, v[corner / 4], tube->t[k], corner / 2 % 2 == 0, r->pace[corner % 2], &d, &w);
-                d_lo = least(d_lo, d);
-                d_hi = most(d_hi, d);
-                w_lo = least(w_lo, w);
-                w_hi = most(w_hi, w);
+                const Motion at_corner = curve(r, i, v[corner / 4], tube->t[k], corner / 2 % 2 == 0, r->pace[corner % 2]);
+                d_lo = least(d_lo, at_corner.travel);
+                d_hi = most(d_hi, at_corner.travel);
+                w_lo = least(w_lo, at_corner.speed);
+                w_hi = most(w_hi, at_corner.speed);
             }
             /* tracking errors exist from the request on; the first knot is exact */
             tube->d_lo[at] = k ? d_lo - r->q_error[i] : d_lo;
@@ -67,22 +71,28 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
     }
 }
 
-/* Largest torques of links and rotors along the ramp of the joints that still move between `begin` and `end`, and how much they
- * change from one point to the next, on top of `asked`. */
-static void ask(const StopAsk *a, const double *pi, double pace, const double lasts[SN], double begin, double end,
-                const double extra[SN], double asked[SN]) {
+/* A time of the ramp between two joints' rest, at one of its paces, with one of the payloads. */
+typedef struct {
+    double begin, end, pace;
+    const double *pi;
+} Stretch;
+
+/* Largest torques of links and rotors along the ramp of the joints that still move on a stretch, and how much they change from one point
+ * to the next, on top of `asked`. */
+static void ask(const StopAsk *a, const Stretch *stretch, const double lasts[SN], const double extra[SN], double asked[SN]) {
+    const double begin = stretch->begin, end = stretch->end, pace = stretch->pace;
     const int n = a->stops->plant.arm.n;
     StopsetArm arm = a->stops->plant.arm;
     double q[POINTS * SN], v[POINTS * SN], acc[POINTS * SN], tau[POINTS * SN];
-    arm.pi = pi;
+    arm.pi = stretch->pi;
     for (int k = 0; k < POINTS; k++) {
         const double t = k + 1 < POINTS ? begin + k * ((end - begin) / (POINTS - 1)) : end;
         for (int i = 0; i < n; i++) {
             const double u = least(t / lasts[i], 1.0), path_time = lasts[i] * (u - 0.5 * u * u);
-            const int at = k * n + i, moves = lasts[i] > begin && size_of(a->dq[i]) > 0.0;
-            q[at] = a->q[i] + a->dq[i] * (path_time + 0.5 * pace * path_time * path_time);
-            v[at] = a->dq[i] * (1.0 - u) * (1.0 + pace * path_time);
-            acc[at] = moves ? a->dq[i] * (pace * ((1.0 - u) * (1.0 - u)) - (1.0 + pace * path_time) / lasts[i]) : 0.0;
+            const int at = k * n + i, moves = lasts[i] > begin && size_of(a->from.dq[i]) > 0.0;
+            q[at] = a->from.q[i] + a->from.dq[i] * (path_time + 0.5 * pace * path_time * path_time);
+            v[at] = a->from.dq[i] * (1.0 - u) * (1.0 + pace * path_time);
+            acc[at] = moves ? a->from.dq[i] * (pace * ((1.0 - u) * (1.0 - u)) - (1.0 + pace * path_time) / lasts[i]) : 0.0;
         }
     }
     stopset_torques(&arm, POINTS, q, v, acc, tau);
@@ -105,10 +115,10 @@ static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *
     int borders = 1;
     border[0] = 0.0;
     for (int i = 0; i < n; i++) {
-        const double fast = size_of(a->dq[i]) + a->dq_radius[i];
-        lasts[i] = r->timed ? r->value_lo[i] : most(size_of(a->dq[i]), 1e-9) / r->value_hi[i];
+        const double fast = size_of(a->from.dq[i]) + a->from.dq_radius[i];
+        lasts[i] = r->timed ? r->value_lo[i] : most(size_of(a->from.dq[i]), 1e-9) / r->value_hi[i];
         extra[i] = p->coulomb_hi[i] + p->viscous_hi[i] * fast + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
-        if (!(size_of(a->dq[i]) > 0.0)) continue;
+        if (!(size_of(a->from.dq[i]) > 0.0)) continue;
         int k = 0;
         while (k < borders && border[k] < lasts[i]) k++;
         if (k < borders && border[k] == lasts[i]) continue;
@@ -121,7 +131,10 @@ static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *
     }
     for (int k = 0; k + 1 < borders; k++)
         for (int side = 0; side < 2; side++)
-            for (int c = 0; c < 3; c++) ask(a, body[side], paces[c], lasts, border[k], border[k + 1], extra, asked);
+            for (int c = 0; c < 3; c++) {
+                const Stretch stretch = {border[k], border[k + 1], paces[c], body[side]};
+                ask(a, &stretch, lasts, extra, asked);
+            }
     for (int i = 0; i < n; i++)
         if (!(asked[i] <= r->limit[i])) return 0;
     return 1;
@@ -168,13 +181,14 @@ int stops_held(const StopsetStops *s, const double *q, const double *radius) {
     return 1;
 }
 
-int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int stays, const double *q, const double *dq, const double *q_radius,
-                         const double *dq_radius, double *work, const StopsetBound *out) {
+int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int stays, const StopsetStates *from, double *work,
+                         const StopsetBound *out) {
+    const double *q = from->q, *dq = from->dq, *q_radius = from->q_radius, *dq_radius = from->dq_radius;
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     double fastest[SN], end[SN], half[SN], lo[SN], hi[SN], friction[6 * SN], after = 0.0;
     StopsetPlant plant;
-    StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
     stops_begin(&a, work, out);
     ramp_tube(&a, r, fastest);
     for (int i = 0; i < n; i++) {
@@ -256,8 +270,8 @@ static int widest(const Cell *cell, int count, int n, const double *dq) {
 }
 
 /* One cell's stop, from the box of the request; whether it comes to rest. */
-static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double *q, const double *dq, const double *q_radius,
-                const double *dq_radius, int alone, const StopsetBound *out) {
+static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const StopsetStates *request, int alone, const StopsetBound *out) {
+    const double *q = request->q, *dq = request->dq, *q_radius = request->q_radius, *dq_radius = request->dq_radius;
     const int n = a->stops->plant.arm.n;
     double box[4][SN], lo[SN], hi[SN], speed[SN], fastest[SN];
     Region region[2];
@@ -273,11 +287,8 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double
         box[3][i] = 0.5 * (v_hi - v_lo);
         speed[i] = size_of(box[1][i]) + box[3][i];
     }
-    a->q = box[0];
-    a->dq = box[1];
-    a->q_radius = box[2];
-    a->dq_radius = box[3];
-    a->lasts = stopset_expected_stop(&a->stops->plant, a->q, speed);
+    a->from = (StopsetStates){box[0], box[1], box[2], box[3]};
+    a->lasts = stopset_expected_stop(&a->stops->plant, a->from.q, speed);
     const double *early = a->stops->plant.delay_lo, *late = a->stops->plant.delay_hi;
     stops_guess(a, region);
     stops_guess(a, region + 1);
@@ -293,15 +304,14 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const double
     return 1;
 }
 
-int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *r, const double *q, const double *dq, const double *q_radius,
-                        const double *dq_radius, double *work, const StopsetBound *out) {
+int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *r, const StopsetStates *from, double *work, const StopsetBound *out) {
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     Cell cell[SLICES + 1];
-    StopAsk a = {stops, q, dq, q_radius, dq_radius, 0.0, 0, 0, {0}, 0};
-    const int count = cells_of(r, n, dq, cell), first = widest(cell, count, n, dq);
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
+    const int count = cells_of(r, n, from->dq, cell), first = widest(cell, count, n, from->dq);
     stops_begin(&a, work, out);
     for (int k = 0; k < count; k++)
-        if (!fall(&a, r, cell + k, q, dq, q_radius, dq_radius, k == first, out)) return 1;
+        if (!fall(&a, r, cell + k, from, k == first, out)) return 1;
     return count ? STOPSET_OK : 1;
 }

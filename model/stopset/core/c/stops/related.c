@@ -144,15 +144,17 @@ static void visit(const Along *A, int k, Relation *x) {
     }
 }
 
-void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, Along *A, double *push, double *beyond) {
-    const int n = at->n;
+void stops_slopes(const Near *near, const double *size, Along *A, double *push, double *beyond) {
+    const Expansion *E = &near->E;
+    const Local *at = &near->at;
+    const int n = E->n;
     memset(A->value, 0, sizeof A->value);
     for (int g = 0; g < groups_of(n); g++) memset(A->slope[g], 0, (size_t)(n * (n + 1) / 2) * sizeof *A->slope[g]);
     for (int i = 0; i < n; i++) {
         push[i] = beyond[i] = 0.0;
         for (int j = 0; j < n; j++) {
             const int ij = i * n + j, place = i < j ? pair(i, j) : pair(j, i);
-            const double rotor = i == j ? p->rotor_half[i] : 0.0; /* of each joint its own */
+            const double rotor = i == j ? near->plant->rotor_half[i] : 0.0; /* of each joint its own */
             double linear = 0.0;
             for (int l = 0; l < n; l++) {
                 const double slope = E->dM[ij * n + l] * at->rad[l];
@@ -172,36 +174,40 @@ void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, co
 
 /* Second slope d2 M_ij / dq_k dq_l at the pose. */
 static double second(const Expansion *E, int i, int j, int k, int l) {
-    const int a = i < j ? i : j, b = i < j ? j : i, m = k < l ? k : l, o = k < l ? l : k;
-    return m > a ? E->ddM[pair(a, b) * PAIRS + pair(m, o)] : 0.0;
+    const int a = i < j ? i : j, b = i < j ? j : i;
+    return k > a && l > a ? E->ddM[bends_of(E->n, a, b) + (k - a - 1) * (E->n - 1 - a) + l - a - 1] : 0.0;
 }
 
 /* Columns of the Coriolis torque of joint i; its middle, and what is beyond, added. */
-static void coriolis(const Expansion *E, const Local *at, int i, Relation *x, double *middle, double *rest) {
-    const int n = at->n;
+static void coriolis(const Near *near, int i, Relation *x, double *middle, double *rest) {
+    const Expansion *E = &near->E;
+    const Local *at = &near->at;
+    const int n = E->n;
     double *turns = x->turns + i * SLOPES;
     for (int k = 0; k < n; k++)
         for (int o = 0; o < n; o++) {
             const int ik = (i * n + k) * n + o, io = (i * n + o) * n + k, ko = (k * n + o) * n + i;
             const double c = at->v[k], r = at->v_rad[k], b = at->v[o], t = at->v_rad[o], spread = size_of(c) * t + r * size_of(b) + r * t;
-            double G = E->Gamma[ik], slopes = 0.0;
+            double G = E->Gamma[ko], slopes = 0.0;
             for (int l = 0; l < n; l++) {
                 const double slope = 0.5 * (second(E, i, k, o, l) + second(E, i, o, k, l) - second(E, k, o, i, l));
                 G += slope * at->x[l];
                 slopes += size_of(slope) * at->rad[l];
                 turns[l] += slope * at->rad[l] * c * b;
             }
-            turns[n] += E->Gammap[ik] * c * b;
+            turns[n] += E->Gammap[ko] * c * b;
             x->speeds[i * SLOPES + k] += 2.0 * G * b * r;
             *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
-            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ik])) * spread;
+            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ko])) * spread;
             *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
         }
 }
 
 /* Torques of joint i: columns, and the box of all the rest. */
-static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, int i, Relation *x) {
-    const int n = at->n;
+static void torques(const Near *near, int i, Relation *x) {
+    const Expansion *E = &near->E;
+    const Local *at = &near->at;
+    const int n = E->n;
     const Step *s = x->s;
     double middle = E->g[i], rest = 0.0;
     memset(x->speeds + i * SLOPES, 0, SLOPES * sizeof(double));
@@ -209,13 +215,13 @@ static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, 
     for (int k = 0; k < n; k++) {
         double bend = 0.0;
         const double far = size_of(at->x[k]) + at->rad[k];
-        for (int o = 0; o < n; o++) bend += 0.5 * p->curvature.g[(i * n + k) * n + o] * (size_of(at->x[o]) + at->rad[o]);
+        for (int o = 0; o < n; o++) bend += 0.5 * near->plant->curvature.g[(i * n + k) * n + o] * (size_of(at->x[o]) + at->rad[o]);
         middle += E->dg[i * n + k] * at->x[k];
         x->turns[i * SLOPES + k] = E->dg[i * n + k] * at->rad[k];
         rest += (size_of(E->dgp[i * n + k]) + bend) * far;
     }
     x->turns[i * SLOPES + n] = E->gp[i];
-    coriolis(E, at, i, x, &middle, &rest);
+    coriolis(near, i, x, &middle, &rest);
     const double up = s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
     const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
     const double own[RATES] = {lo - s->B_hi[i], hi - up, lo + down, hi + s->B_hi[i], hi - up - s->own_up[i], lo - s->B_hi[i] + s->own_down[i],
@@ -232,8 +238,8 @@ static void torques(const StopsetPlant *p, const Expansion *E, const Local *at, 
 }
 
 /* `out` of stops_accelerations cut to what is known so; left as it is where nothing is. */
-void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]) {
-    const int n = at->n;
+void stops_related(const Near *near, const Step *s, double out[RATES][SN]) {
+    const int n = near->E.n;
     double found[RATES][SN];
     Relation x;
     x.n = n;
@@ -241,11 +247,11 @@ void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, c
     x.count = 0;
     x.s = s;
     x.out = found;
-    x.shared = parts->shared;
+    x.shared = near->parts->shared;
     memset(x.inside, 0, sizeof x.inside);
-    stops_slopes(p, E, at, s->a_far, &x.start, x.push, x.beyond);
+    stops_slopes(near, s->a_far, &x.start, x.push, x.beyond);
     for (int i = 0; i < n; i++) {
-        torques(p, E, at, i, &x);
+        torques(near, i, &x);
         for (int row = 0; row < RATES; row++) found[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
         if (!s->zero[i]) x.open[x.count++] = i;
     }
@@ -257,30 +263,30 @@ void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, c
         for (int i = 0; i < n; i++) out[row][i] = is_lower(row) ? most(out[row][i], found[row][i]) : least(out[row][i], found[row][i]);
 }
 
-int stopset_acceleration_bounds(const StopsetPlant *plant, const double *q, const double *x_lo, const double *x_hi, const double *w_lo, const double *w_hi,
-                          const double *B_lo, const double *B_hi, const double *claim, int related, const StopsetParts *parts, double *out) {
+int stopset_acceleration_bounds(const StopsetPlant *plant, const StopsetBox *box, const StopsetRange *dry, const double *claim, int related,
+                                const StopsetParts *parts, double *out) {
     const int n = plant->arm.n;
-    Expansion E;
-    Local at;
+    const double *w_lo = box->v_lo, *w_hi = box->v_hi;
+    const Local *at;
+    Near near;
     Step s;
     double rates[RATES][SN];
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
     memset(&s, 0, sizeof s);
-    stops_expand(&plant->arm, plant->pi_half, plant->rotor, q, &E);
-    for (int i = 0; i < n; i++) E.Mp[i * (n + 1)] += plant->rotor_half[i];
-    stops_box_terms(&E, &plant->curvature, x_lo, x_hi, w_lo, w_hi, parts, &at);
+    stops_look_at(plant, box, parts, 1, &near);
+    at = &near.at;
     for (int i = 0; i < n; i++) {
-        s.s_lo[i] = plant->u_lo[i] - at.h_hi[i] - most(plant->viscous_lo[i] * w_hi[i], plant->viscous_hi[i] * w_hi[i]);
-        s.s_hi[i] = plant->u_hi[i] - at.h_lo[i] - least(plant->viscous_lo[i] * w_lo[i], plant->viscous_hi[i] * w_lo[i]);
-        s.B_lo[i] = s.B_later[i] = B_lo[i];
-        s.B_hi[i] = B_hi[i];
+        s.s_lo[i] = plant->u_lo[i] - at->h_hi[i] - most(plant->viscous_lo[i] * w_hi[i], plant->viscous_hi[i] * w_hi[i]);
+        s.s_hi[i] = plant->u_hi[i] - at->h_lo[i] - least(plant->viscous_lo[i] * w_lo[i], plant->viscous_hi[i] * w_lo[i]);
+        s.B_lo[i] = s.B_later[i] = dry->lo[i];
+        s.B_hi[i] = dry->hi[i];
         s.a_far[i] = claim[i];
         s.plus[i] = w_hi[i] > 0.0;
         s.minus[i] = w_lo[i] < 0.0;
         s.zero[i] = w_lo[i] <= 0.0 && w_hi[i] >= 0.0;
     }
-    stops_accelerations(&at, &s, rates);
-    if (related) stops_related(plant, &E, &at, &s, parts, rates);
+    stops_accelerations(at, &s, rates);
+    if (related) stops_related(&near, &s, rates);
     for (int row = 0; row < 4; row++) memcpy(out + row * n, rates[row], (size_t)n * sizeof *out);
     return STOPSET_OK;
 }

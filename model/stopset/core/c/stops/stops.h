@@ -15,24 +15,31 @@ static inline double size_of(double x) { return fabs(x); } /* an instruction, wh
 /* Place of two joints, a <= b, among all pairs. */
 static inline int pair(int a, int b) { return b * (b + 1) / 2 + a; }
 #define STOPS_INF (1.0 / 0.0)
+/* Where the second slopes of M_ij, i <= j, begin among all: m x m of each, m = n - 1 - i, as those of joints up to i are zero. */
+static inline int bends_up_to(int m) { return m * (m + 1) / 2 * (m * (m + 1) / 2) + m * (m + 1) * (2 * m + 1) / 6; }
+static inline int bends_of(int n, int i, int j) {
+    const int m = n - 1 - i;
+    return bends_up_to(n - 1) - bends_up_to(m) + (j - i) * m * m;
+}
+enum { LANES = 4, BENDS = (SN - 1) * SN / 2 * ((SN - 1) * SN / 2) + (SN - 1) * SN * (2 * SN - 1) / 6 };
 
 /* Inertia, gravity and Christoffel symbols at a pose and their slopes, of the middle payload and of half its range (p: all zero
- * unless `loaded`). ddM: d2 M_ij/dq_k dq_l by pair(i, j), pair(k, l), where k > i. root[a, b], a <= b, L_ab: no less than the root of
+ * unless `loaded`). ddM: d2 M_ij/dq_k dq_l, k, l > i, at bends_of(n, i, j) + (k - i - 1) (n - 1 - i) + l - i - 1. root[a, b], a <= b, L_ab: no less than the root of
  * the inertia, rotors apart, about axis a of what is behind joint b, whatever the payload; solid: whether from joint b on all
- * parameters are those of bodies of positive masses. */
+ * parameters are those of bodies of positive masses. Gamma: of joint i at [k, l, i]. */
 typedef struct {
     int n, loaded, solid[SN];
     double q[SN], M[SN * SN], dM[SN * SN * SN], Mp[SN * SN], dMp[SN * SN * SN], g[SN], dg[SN * SN], gp[SN], dgp[SN * SN],
-        Gamma[SN * SN * SN], Gammap[SN * SN * SN], ddM[PAIRS * PAIRS], ddMp[PAIRS * PAIRS], root[SN * SN];
+        Gamma[SN * SN * SN], Gammap[SN * SN * SN], ddM[BENDS + LANES], ddMp[BENDS + LANES], root[SN * SN];
 } Expansion;
 
 /* Over a box of angles and speeds: inertia M +- M_rad (middle payload), Mp +- Mp_rad (half its range), dM: all of its
  * uncertainty; h: Coriolis and gravity torque; e: 1/2 v' dM/dq_i v - g_i; g: gravity alone; turn: how far dM_ij/dq_k can be from the
- * pose's, rest: from what its slopes there tell; x +- rad: the box of angles, from the pose on, v +- v_rad: that of speeds. */
+ * pose's, turn_of: the same at [j, k, i], rest: from what its slopes there tell; x +- rad: the box of angles, from the pose on, v +- v_rad: that of speeds. */
 typedef struct {
     int n;
     double M[SN * SN], M_rad[SN * SN], Mp[SN * SN], Mp_rad[SN * SN], dM[SN * SN], h_lo[SN], h_hi[SN], e_lo[SN], e_hi[SN],
-        g_lo[SN], g_hi[SN], turn[SN * SN * SN], rest[SN * SN * SN], x[SN], rad[SN], v[SN], v_rad[SN];
+        g_lo[SN], g_hi[SN], turn[SN * SN * SN], turn_of[SN * SN * SN], rest[SN * SN * SN], x[SN], rad[SN], v[SN], v_rad[SN];
 } Local;
 
 /* Speed bounds of every joint, apart for its first excursion and for later. */
@@ -42,26 +49,37 @@ typedef struct {
     double first_lo[SN], first_hi[SN], later_lo[SN], later_hi[SN];
 } Bands;
 
-/* Integrals since the cut, see momentum.c. */
-typedef struct {
-    double P_lo[SN], P_hi[SN], up[SN], down[SN], needed[SN], drive[SN], restart_up[SN], restart_down[SN];
-} Momentum;
-
 /* Of every joint, from lo to hi. */
 typedef struct {
     double lo[SN], hi[SN];
 } Span;
 
+/* Integrals since the cut, see momentum.c; from `start` on: what was so at the cut, the inertia and the speeds. */
+typedef struct {
+    double P_lo[SN], P_hi[SN], up[SN], down[SN], needed[SN], drive[SN], restart_up[SN], restart_down[SN];
+    Local start;
+    Span v0;
+} Momentum;
+
 /* Bound of sqrt(v' M v), speed caps on a step and at its end, bound of the inverse inertia, gravity on the step. */
 typedef struct {
-    double y, cap[SN], end[SN], W[SN * SN], g_lo[SN], g_hi[SN];
+    double y, cap[SN], end[SN], W[SN * SN];
+    Span g;
 } Energy;
 
-/* Torques without dry friction, dry friction, and which signs are possible on a step. */
+/* A step of h seconds: torques without dry friction, dry friction, and which signs are possible on it. */
 typedef struct {
-    double s_lo[SN], s_hi[SN], own_up[SN], own_down[SN], B_lo[SN], B_hi[SN], B_later[SN], direction[SN], a_far[SN];
+    double h, s_lo[SN], s_hi[SN], own_up[SN], own_down[SN], B_lo[SN], B_hi[SN], B_later[SN], direction[SN], a_far[SN];
     int plus[SN], minus[SN], zero[SN];
 } Step;
+
+/* An arm near a pose: the expansion there, and what is so in the box of angles and speeds looked at last. */
+typedef struct {
+    const StopsetPlant *plant;
+    const StopsetParts *parts;
+    Expansion E;
+    Local at;
+} Near;
 
 /* Rows of accelerations: 0-3 forward lo, hi, backward lo, hi; 4 forward hi at the upper speed bound, 5 forward lo at the
  * lower; 6, 7 the same backward; 8, 9 forward hi and backward lo of a joint that has rested before. */
@@ -71,13 +89,16 @@ static inline int is_lower(int row) { return row == 0 || row == 2 || row == 5 ||
 extern const StopsetParts stops_whole; /* nothing left out */
 
 void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E);
-void stops_box_terms(const Expansion *E, const StopsetCurvature *K, const double *x_lo, const double *x_hi, const double *w_lo,
-                     const double *w_hi, const StopsetParts *parts, Local *out);
+/* For angles E.q + x and speeds v. */
+void stops_box_terms(const Near *near, const Span *x, const Span *v, Local *out);
+/* The arm near a box's pose, `rotors`: with their half intervals beside the payload's, and what is so in the box. */
+void stops_look_at(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, int rotors, Near *out);
+void stops_span(int n, const double *lo, const double *hi, Span *out);
 void stops_pivot(int n, double *A, int k, int into);
 void stops_turn_over(int n, double *A, int k, int into); /* of the transposed matrix, stride SN; some rows beyond n are written too */
 /* A symmetric matrix and its slopes in all angles and in the payload, each times its half range: entries apart from the diagonal, (n, n) with
  * stride SN and the diagonal zero, then those on it; slopes by pair(i, j), LANES of them side by side. What is beyond n is zero. */
-enum { LANES = 4, GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
+enum { GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
 typedef struct {
     double own[SN], value[SN * SN];
     Four slope[GROUPS][PAIRS];
@@ -87,31 +108,27 @@ static inline double sum_of(const Four *x) { return ((*x)[0] + (*x)[1]) + ((*x)[
 static inline int groups_of(int n) { return (n + LANES) / LANES; }
 /* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.
  * Then: B is A with joint k inside as stops_pivot does it, slopes along. */
-void stops_slopes(const StopsetPlant *p, const Expansion *E, const Local *at, const double *size, Along *A, double *push, double *beyond);
+void stops_slopes(const Near *near, const double *size, Along *A, double *push, double *beyond);
 void stops_pivot_along(int n, const Along *A, int k, Along *B);
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
-void stops_related(const StopsetPlant *p, const Expansion *E, const Local *at, const Step *s, const StopsetParts *parts, double out[RATES][SN]);
-void stops_start_bands(int n, const double *v_lo, const double *v_hi, Bands *b);
+void stops_related(const Near *near, const Step *s, double out[RATES][SN]);
+void stops_start_bands(int n, const Span *v, Bands *b);
 void stops_total(int n, const Bands *b, double *lo, double *hi);
-void stops_start_momentum(const Local *at, const double *v_lo, const double *v_hi, const Bands *b, Momentum *m);
-void stops_retained_impulse(const StopsetPlant *p, const Momentum *m, const Local *at, const Local *start, const Bands *before, const Bands *after,
-                            const double *v0_lo, const double *v0_hi, const double *x_lo, const double *x_hi, double h, double *retained);
-void stops_carry_on(const StopsetPlant *p, Momentum *m, const Local *at, const Step *s, const Bands *before, const Bands *after,
-                    const double *retained, const double *x_lo, const double *x_hi, double h);
-void stops_tighten(Bands *b, const Momentum *m, const Local *at, const Local *start, const double *v0_lo, const double *v0_hi, double *lo,
-                   double *hi);
+void stops_start_momentum(const Near *near, const Span *x, const Span *v, const Bands *b, Momentum *m);
+void stops_retained_impulse(const Near *near, const Momentum *m, const Step *s, const Bands *before, const Bands *after, const Span *v,
+                            double *retained);
+void stops_carry_on(const Near *near, Momentum *m, const Step *s, const Bands *before, const Bands *after, const Span *v,
+                    const double *retained);
+void stops_tighten(Bands *b, const Momentum *m, const Local *at, double *lo, double *hi);
 double stops_largest(const Local *at, const double *v_lo, const double *v_hi);
-void stops_power_excess(int n, const Energy *e, const double *u_lo, const double *u_hi, const double *B_lo, Span *w);
-int stops_step_energy(const StopsetPlant *p, Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                      double h, const StopsetParts *parts, Local *at);
-int stops_travel_left(const StopsetPlant *p, const Energy *e, const Expansion *E, const double *q_lo, const double *q_hi, const double *B_lo,
-                      const StopsetParts *parts, Local *at, Span *travel);
+void stops_power_excess(int n, const Span *g, const StopsetRange *u, const double *B_lo, Span *w);
+int stops_step_energy(Near *near, Energy *e, const Span *x, const Step *s);
+int stops_travel_left(Near *near, const Energy *e, const Span *x, const double *B_lo, Span *travel);
 double stops_by_power(int n, double y, const Span *w, const Span *v, const Span *p, double h);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
-void stops_cap_lines(int n, const Span *cap, double *v_lo, double *v_hi, double *e_lo, double *e_hi, int alone);
-void stops_start_pulls(const Local *at, const double *v_lo, const double *v_hi, Span *p);
-void stops_pull_caps(const StopsetPlant *plant, const Expansion *E, const double *q_lo, const double *q_hi, const double *v_lo, const double *v_hi,
-                     const Span *p, const double *fastest, const Step *s, double h, const StopsetParts *parts, Local *at, Span *cap);
-void stops_pull_on(const StopsetPlant *plant, const Expansion *E, const Local *at, const Step *s, const Span *w, double h, const StopsetParts *parts, Span *p, Span *step);
-double stops_pull_cut(const StopsetPlant *plant, const Expansion *E, const Local *at, const StopsetParts *parts, Span *p, Span *v);
+void stops_cap_lines(int n, const Span *cap, double *const line[4], int alone); /* line: v_lo, v_hi, e_lo, e_hi */
+void stops_start_pulls(const Local *at, const Span *v, Span *p);
+void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const double *fastest, const Step *s, Span *cap);
+void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span *step);
+double stops_pull_cut(const Near *near, Span *p, Span *v);
 #endif

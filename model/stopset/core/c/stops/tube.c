@@ -20,19 +20,17 @@ enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy 
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
 typedef struct {
-    const StopsetPlant *p;
-    const StopsetParts *parts;
     const StopsetTube *tube;
     int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
-    double h, q_lo[SN], q_hi[SN], v0_lo[SN], v0_hi[SN], farthest_lo[SN], farthest_hi[SN]; /* displacements from now on, by energy */
-    double claim[4][SN], last[4][SN], out[RATES][SN], w_lo[SN], w_hi[SN], x_lo[SN], x_hi[SN], need[SN], drop[SN], retained[SN];
+    double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
+    Span q, farthest; /* angles at the cut; displacements from now on, by energy */
+    Span w, x, v;     /* on the step: claimed speeds, angles from the pose, speeds under its lines */
+    Span momenta, cap; /* of all joints at the knot; of speeds on the step */
     Step s;
-    Expansion E;
-    Local at, start;
+    Near near;
     Bands b, end;
     Momentum momentum;
     Energy energy;
-    Span momenta, cap; /* of all joints at the knot; of speeds on the step */
 } March;
 
 static double ramp(double t, double delay, double rise) {
@@ -62,15 +60,15 @@ static void guess_claims(March *m, int64_t k) {
 static void claimed_speeds(March *m, const double *lo, const double *hi) {
     Step *s = &m->s;
     for (int i = 0; i < m->n; i++) {
-        double z = lo[i] + m->h * least(0.0, lo[i] > 0.0 ? m->claim[0][i] : m->claim[2][i]);
-        if (lo[i] > 0.0 && z <= 0.0) z = m->h * least(0.0, m->claim[2][i]);
-        m->w_lo[i] = most(z, m->cap.lo[i]);
-        z = hi[i] + m->h * most(0.0, hi[i] < 0.0 ? m->claim[3][i] : m->claim[1][i]);
-        if (hi[i] < 0.0 && z >= 0.0) z = m->h * most(0.0, m->claim[1][i]);
-        m->w_hi[i] = least(z, m->cap.hi[i]);
-        s->plus[i] = m->w_hi[i] > 0.0;
-        s->minus[i] = m->w_lo[i] < 0.0;
-        s->zero[i] = m->w_lo[i] <= 0.0 && m->w_hi[i] >= 0.0;
+        double z = lo[i] + m->s.h * least(0.0, lo[i] > 0.0 ? m->claim[0][i] : m->claim[2][i]);
+        if (lo[i] > 0.0 && z <= 0.0) z = m->s.h * least(0.0, m->claim[2][i]);
+        m->w.lo[i] = most(z, m->cap.lo[i]);
+        z = hi[i] + m->s.h * most(0.0, hi[i] < 0.0 ? m->claim[3][i] : m->claim[1][i]);
+        if (hi[i] < 0.0 && z >= 0.0) z = m->s.h * most(0.0, m->claim[1][i]);
+        m->w.hi[i] = least(z, m->cap.hi[i]);
+        s->plus[i] = m->w.hi[i] > 0.0;
+        s->minus[i] = m->w.lo[i] < 0.0;
+        s->zero[i] = m->w.lo[i] <= 0.0 && m->w.hi[i] >= 0.0;
         s->a_far[i] = 0.0;
         if (s->plus[i]) s->a_far[i] = most(size_of(m->claim[0][i]), size_of(m->claim[1][i]));
         if (s->minus[i]) s->a_far[i] = most(s->a_far[i], most(size_of(m->claim[2][i]), size_of(m->claim[3][i])));
@@ -106,7 +104,7 @@ static void advance(March *m) {
     const Bands *b = &m->b;
     Bands *end = &m->end;
     double(*out)[SN] = m->out;
-    const double h = m->h;
+    const double h = m->s.h;
     for (int i = 0; i < m->n; i++) {
         const double start_up = h * most(0.0, out[8][i]), start_down = h * least(0.0, out[9][i]);
         int ends;
@@ -140,17 +138,17 @@ static void advance(March *m) {
 
 /* The expansion at q, the rotors' half intervals beside the payload's: both are constant during a stop. */
 static void expand(March *m, const double *q) {
-    stops_expand(&m->p->arm, m->p->pi_half, m->p->rotor, q, &m->E);
+    stops_expand(&m->near.plant->arm, m->near.plant->pi_half, m->near.plant->rotor, q, &m->near.E);
     for (int i = 0; i < m->n; i++) {
-        double *own = &m->E.Mp[i * m->n + i];
-        *own = size_of(*own) + m->p->rotor_half[i];
+        double *own = &m->near.E.Mp[i * m->n + i];
+        *own = size_of(*own) + m->near.plant->rotor_half[i];
     }
 }
 
 /* Least dry friction of a joint that has come to rest by `now`, the end of the step, and the direction it can move in with
  * less. Its brake has given at least the impulse that ended the first excursion, and its torque only grows. */
 static void later_friction(March *m, double now) {
-    const StopsetPlant *p = m->p;
+    const StopsetPlant *p = m->near.plant;
     Step *s = &m->s;
     for (int i = 0; i < m->n; i++) {
         s->B_later[i] = s->B_lo[i];
@@ -168,15 +166,15 @@ static void later_friction(March *m, double now) {
 
 /* Torques without dry friction on a step; and what viscous friction surely takes at a joint's own speed bound. */
 static void torques(March *m, const double *lo, const double *hi) {
-    const StopsetPlant *p = m->p;
+    const StopsetPlant *p = m->near.plant;
     const Bands *b = &m->b;
     Step *s = &m->s;
     for (int i = 0; i < m->n; i++) {
-        const double D_lo = p->viscous_lo[i], D_hi = p->viscous_hi[i], h = m->h;
-        const double few = least(D_lo * m->w_lo[i], D_hi * m->w_lo[i]), many = most(D_lo * m->w_hi[i], D_hi * m->w_hi[i]);
-        s->s_lo[i] = -m->at.h_hi[i] - many + p->u_lo[i];
-        s->s_hi[i] = -m->at.h_lo[i] - few + p->u_hi[i];
-        double fast = m->w_lo[i], slow = m->w_hi[i];
+        const double D_lo = p->viscous_lo[i], D_hi = p->viscous_hi[i], h = m->s.h;
+        const double few = least(D_lo * m->w.lo[i], D_hi * m->w.lo[i]), many = most(D_lo * m->w.hi[i], D_hi * m->w.hi[i]);
+        s->s_lo[i] = -m->near.at.h_hi[i] - many + p->u_lo[i];
+        s->s_hi[i] = -m->near.at.h_lo[i] - few + p->u_hi[i];
+        double fast = m->w.lo[i], slow = m->w.hi[i];
         const double upper = b->alive[i] && b->sign[i] > 0.0 ? b->first_hi[i] : hi[i];
         const double lower = b->alive[i] && b->sign[i] < 0.0 ? b->first_lo[i] : lo[i];
         if (upper > 0.0)
@@ -199,13 +197,13 @@ static int verify(March *m, int64_t k) {
     for (int attempt = 0; attempt < (m->energetic ? FEW_PASSES : PASSES); attempt++) {
         claimed_speeds(m, v_lo, v_hi);
         for (int i = 0; i < n; i++) {
-            m->x_lo[i] = m->q_lo[i] + d_lo[i] + m->h * least(0.0, m->w_lo[i]) - m->E.q[i];
-            m->x_hi[i] = m->q_hi[i] + d_hi[i] + m->h * most(0.0, m->w_hi[i]) - m->E.q[i];
+            m->x.lo[i] = m->q.lo[i] + d_lo[i] + m->s.h * least(0.0, m->w.lo[i]) - m->near.E.q[i];
+            m->x.hi[i] = m->q.hi[i] + d_hi[i] + m->s.h * most(0.0, m->w.hi[i]) - m->near.E.q[i];
         }
-        stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, m->w_lo, m->w_hi, m->parts, &m->at);
+        stops_box_terms(&m->near, &m->x, &m->w, &m->near.at);
         torques(m, v_lo, v_hi);
-        stops_accelerations(&m->at, &m->s, m->out);
-        if (m->related) stops_related(m->p, &m->E, &m->at, &m->s, m->parts, m->out);
+        stops_accelerations(&m->near.at, &m->s, m->out);
+        if (m->related) stops_related(&m->near, &m->s, m->out);
         if (claims_hold(m)) return 1;
     }
     return 0;
@@ -215,10 +213,10 @@ static int verify(March *m, int64_t k) {
 static void caps_alone(March *m, int64_t k) {
     const int n = m->n;
     for (int i = 0; i < n; i++) {
-        m->x_lo[i] = m->q_lo[i] + m->tube->d_lo[k * n + i] - m->E.q[i] + m->h * least(m->cap.lo[i], 0.0);
-        m->x_hi[i] = m->q_hi[i] + m->tube->d_hi[k * n + i] - m->E.q[i] + m->h * most(m->cap.hi[i], 0.0);
+        m->x.lo[i] = m->q.lo[i] + m->tube->d_lo[k * n + i] - m->near.E.q[i] + m->s.h * least(m->cap.lo[i], 0.0);
+        m->x.hi[i] = m->q.hi[i] + m->tube->d_hi[k * n + i] - m->near.E.q[i] + m->s.h * most(m->cap.hi[i], 0.0);
     }
-    stops_box_terms(&m->E, &m->p->curvature, m->x_lo, m->x_hi, m->cap.lo, m->cap.hi, m->parts, &m->at);
+    stops_box_terms(&m->near, &m->x, &m->cap, &m->near.at);
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < n; i++) m->out[row][i] = is_lower(row) ? -STOPS_INF : STOPS_INF;
 }
@@ -233,19 +231,19 @@ static int take_step(March *m, int64_t k, double now) {
     for (int i = 0; i < n; i++) m->need[i] = m->b.alive[i] ? m->momentum.needed[i] - 2.0 * m->drop[i] : m->momentum.needed[i];
     for (int redo = 0;; redo++) { /* ends: from the second on each takes nothing of one more joint */
         int enough = 1;
-        later_friction(m, now + m->h);
+        later_friction(m, now + m->s.h);
         verified = verify(m, k);
         if (!verified && !m->energetic) return 0;
         if (!verified) caps_alone(m, k);
         advance(m);
         if (!verified) stops_cap_bands(n, &m->end, &m->cap);
         stops_total(n, &m->end, e_lo, e_hi);
-        if (m->energetic) stops_cap_lines(n, &m->cap, v_lo, v_hi, e_lo, e_hi, !verified);
+        if (m->energetic) stops_cap_lines(n, &m->cap, (double *[]){v_lo, v_hi, e_lo, e_hi}, !verified);
         for (int i = 0; i < n; i++) {
-            m->x_lo[i] = least(v_lo[i], e_lo[i]);
-            m->x_hi[i] = most(v_hi[i], e_hi[i]);
+            m->v.lo[i] = least(v_lo[i], e_lo[i]);
+            m->v.hi[i] = most(v_hi[i], e_hi[i]);
         }
-        stops_retained_impulse(m->p, &m->momentum, &m->at, &m->start, &m->b, &m->end, m->v0_lo, m->v0_hi, m->x_lo, m->x_hi, m->h, m->retained);
+        stops_retained_impulse(&m->near, &m->momentum, &m->s, &m->b, &m->end, &m->v, m->retained);
         for (int i = 0; i < n; i++)
             if (m->b.alive[i] && m->b.rested[i] && 0.0 < m->need[i] && m->retained[i] < m->need[i]) {
                 enough = 0;
@@ -262,12 +260,12 @@ static void displace(const March *m, int64_t k) {
     const StopsetTube *t = m->tube;
     for (int i = 0; i < n; i++) {
         const int64_t at = k * n + i;
-        const double hi = t->v_hi[at], lo = t->v_lo[at], new_hi = t->e_hi[at], new_lo = t->e_lo[at], h = m->h;
+        const double hi = t->v_hi[at], lo = t->v_lo[at], new_hi = t->e_hi[at], new_lo = t->e_lo[at], h = m->s.h;
         t->d_hi[at + n] = t->d_hi[at] + h * (hi < 0.0 && new_hi >= 0.0 ? most(new_hi, 0.0) : 0.5 * (hi + new_hi));
         t->d_lo[at + n] = t->d_lo[at] + h * (lo > 0.0 && new_lo <= 0.0 ? least(new_lo, 0.0) : 0.5 * (lo + new_lo));
-        t->d_hi[at + n] = least(t->d_hi[at + n], m->farthest_hi[i]);
-        t->d_lo[at + n] = most(t->d_lo[at + n], m->farthest_lo[i]);
-        if (m->parts->whole_step == 0.0) {
+        t->d_hi[at + n] = least(t->d_hi[at + n], m->farthest.hi[i]);
+        t->d_lo[at + n] = most(t->d_lo[at + n], m->farthest.lo[i]);
+        if (m->near.parts->whole_step == 0.0) {
             t->d_hi[at + n] = t->d_hi[at] + h * new_hi;
             t->d_lo[at + n] = t->d_lo[at] + h * new_lo;
         }
@@ -277,44 +275,44 @@ static void displace(const March *m, int64_t k) {
 
 /* Friction of the step, the expansion where it has moved too far, and the energy's caps; 0 if these cannot be verified. */
 static int prepare(March *m, int64_t k, double now, const double *middle, const double *gravity) {
-    const StopsetPlant *p = m->p;
+    const StopsetPlant *p = m->near.plant;
     const StopsetTube *t = m->tube;
     const int n = m->n;
     double here[SN], far = 0.0;
     for (int i = 0; i < n; i++) {
         here[i] = middle[i] + 0.5 * (t->d_lo[k * n + i] + t->d_hi[k * n + i]);
-        far += size_of(here[i] - m->E.q[i]);
+        far += size_of(here[i] - m->near.E.q[i]);
     }
     if (far > stopset_tube_recentre) {
-        for (int i = 0; i < n; i++) here[i] = here[i] + 0.5 * (here[i] - m->E.q[i]);
+        for (int i = 0; i < n; i++) here[i] = here[i] + 0.5 * (here[i] - m->near.E.q[i]);
         expand(m, here);
-        if (m->parts->gravity_slope == 0.0) memcpy(m->E.g, gravity, (size_t)n * sizeof *gravity);
+        if (m->near.parts->gravity_slope == 0.0) memcpy(m->near.E.g, gravity, (size_t)n * sizeof *gravity);
     }
-    const double early = m->parts->whole_step > 0.0 ? now : now + m->h, late = m->parts->whole_step > 0.0 ? now + m->h : now;
+    const double early = m->near.parts->whole_step > 0.0 ? now : now + m->s.h, late = m->near.parts->whole_step > 0.0 ? now + m->s.h : now;
     for (int i = 0; i < n; i++) {
         m->s.B_lo[i] = p->coulomb_lo[i] + p->brake_lo[i] * ramp(early, p->delay_hi[i], p->rise_hi[i]);
         m->s.B_hi[i] = p->coulomb_hi[i] + p->brake_hi[i] * ramp(late, p->delay_lo[i], p->rise_lo[i]);
     }
     if (!m->energetic) return 1;
     for (int i = 0; i < n; i++) {
-        m->x_lo[i] = m->q_lo[i] + t->d_lo[k * n + i] - m->E.q[i];
-        m->x_hi[i] = m->q_hi[i] + t->d_hi[k * n + i] - m->E.q[i];
+        m->x.lo[i] = m->q.lo[i] + t->d_lo[k * n + i] - m->near.E.q[i];
+        m->x.hi[i] = m->q.hi[i] + t->d_hi[k * n + i] - m->near.E.q[i];
     }
-    Span travel;
-    const int braked = stops_travel_left(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->parts, &m->at, &travel);
+    Span travel, speeds;
+    const int braked = stops_travel_left(&m->near, &m->energy, &m->x, m->s.B_lo, &travel);
     for (int i = 0; i < n; i++) {
         t->travel_left[k * n + i] = braked ? most(travel.lo[i], travel.hi[i]) : STOPS_INF;
         if (!braked) continue;
-        m->farthest_lo[i] = most(m->farthest_lo[i], t->d_lo[k * n + i] - travel.lo[i]);
-        m->farthest_hi[i] = least(m->farthest_hi[i], t->d_hi[k * n + i] + travel.hi[i]);
+        m->farthest.lo[i] = most(m->farthest.lo[i], t->d_lo[k * n + i] - travel.lo[i]);
+        m->farthest.hi[i] = least(m->farthest.hi[i], t->d_hi[k * n + i] + travel.hi[i]);
     }
-    if (!stops_step_energy(p, &m->energy, &m->E, m->x_lo, m->x_hi, m->s.B_lo, m->h, m->parts, &m->at)) return 0;
+    if (!stops_step_energy(&m->near, &m->energy, &m->x, &m->s)) return 0;
     for (int i = 0; i < n; i++) {
         m->cap.lo[i] = -m->energy.cap[i];
         m->cap.hi[i] = m->energy.cap[i];
     }
-    if (m->pulled)
-        stops_pull_caps(p, &m->E, m->x_lo, m->x_hi, t->v_lo + k * n, t->v_hi + k * n, &m->momenta, m->energy.cap, &m->s, m->h, m->parts, &m->at, &m->cap);
+    stops_span(n, t->v_lo + k * n, t->v_hi + k * n, &speeds);
+    if (m->pulled) stops_pull_caps(&m->near, &m->x, &speeds, &m->momenta, m->energy.cap, &m->s, &m->cap);
     m->pulled = 0;
     for (int i = 0; i < n; i++) m->pulled |= m->cap.hi[i] - m->cap.lo[i] < worth * 2.0 * m->energy.cap[i];
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
@@ -326,49 +324,45 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
 
 /* Momenta on a step on which speeds lie in w and the energy is no more than y, as |p_i| <= sqrt(M_ii) y; those that are followed, at its end. */
 static void follow_momenta(March *m, double y, const Span *w, Span *p) {
-    stops_start_pulls(&m->at, w->lo, w->hi, p);
+    stops_start_pulls(&m->near.at, w, p);
     for (int i = 0; i < m->n; i++) {
         const int own = i * (m->n + 1);
-        const double most_own = sqrt(m->at.M[own] + m->at.dM[own]) * y * stopset_energy_rounding;
+        const double most_own = sqrt(m->near.at.M[own] + m->near.at.dM[own]) * y * stopset_energy_rounding;
         p->lo[i] = most(p->lo[i], -most_own);
         p->hi[i] = least(p->hi[i], most_own);
     }
-    if (m->pulled) stops_pull_on(m->p, &m->E, &m->at, &m->s, w, m->h, m->parts, &m->momenta, p);
+    if (m->pulled) stops_pull_on(&m->near, &m->s, w, &m->momenta, p);
     for (int i = 0; i < m->n; i++) {
-        p->lo[i] *= m->parts->held;
-        p->hi[i] *= m->parts->held;
+        p->lo[i] *= m->near.parts->held;
+        p->hi[i] *= m->near.parts->held;
     }
 }
 
 /* What momenta and energy know of the speeds at the end of a step. */
 static void pull(March *m, double *v_lo, double *v_hi) {
-    const size_t row = (size_t)m->n * sizeof *v_lo;
     Span end;
-    memcpy(end.lo, v_lo, row);
-    memcpy(end.hi, v_hi, row);
-    m->energy.y = least(m->energy.y, stops_pull_cut(m->p, &m->E, &m->at, m->parts, &m->momenta, &end));
+    stops_span(m->n, v_lo, v_hi, &end);
+    m->energy.y = least(m->energy.y, stops_pull_cut(&m->near, &m->momenta, &end));
     stops_cap_bands(m->n, &m->end, &end);
     stops_total(m->n, &m->end, v_lo, v_hi);
-    m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
+    m->energy.y = least(m->energy.y, stops_largest(&m->near.at, v_lo, v_hi));
 }
 
 /* Momenta, energy and bands at the knot after step k. */
 static void settle(March *m, int64_t k, double y) {
-    const StopsetPlant *p = m->p;
     const int n = m->n;
     double before[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
     memcpy(before, m->momentum.needed, sizeof before);
-    stops_carry_on(p, &m->momentum, &m->at, &m->s, &m->b, &m->end, m->retained, m->x_lo, m->x_hi, m->h);
+    stops_carry_on(&m->near, &m->momentum, &m->s, &m->b, &m->end, &m->v, m->retained);
     for (int i = 0; i < n; i++) m->drop[i] = before[i] < STOPS_INF ? most(before[i] - m->momentum.needed[i], 0.0) : 0.0;
     memcpy(v_lo, m->tube->e_lo + k * n, (size_t)n * sizeof *v_lo);
     memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
     if (m->energetic) {
-        Span excess, momenta, speeds, end;
-        memcpy(speeds.lo, m->x_lo, (size_t)n * sizeof *m->x_lo);
-        memcpy(speeds.hi, m->x_hi, (size_t)n * sizeof *m->x_hi);
-        stops_power_excess(n, &m->energy, p->u_lo, p->u_hi, m->s.B_lo, &excess);
-        follow_momenta(m, most(y, m->energy.y), &speeds, &momenta);
-        m->energy.y = least(m->energy.y, stops_by_power(n, y, &excess, &speeds, &momenta, m->h));
+        const StopsetRange u = {m->near.plant->u_lo, m->near.plant->u_hi};
+        Span excess, momenta, end;
+        stops_power_excess(n, &m->energy.g, &u, m->s.B_lo, &excess);
+        follow_momenta(m, most(y, m->energy.y), &m->v, &momenta);
+        m->energy.y = least(m->energy.y, stops_by_power(n, y, &excess, &m->v, &momenta, m->s.h));
         for (int i = 0; i < n; i++) {
             end.lo[i] = -m->energy.end[i];
             end.hi[i] = m->energy.end[i];
@@ -376,12 +370,12 @@ static void settle(March *m, int64_t k, double y) {
         stops_cap_bands(n, &m->end, &end);
         stops_total(n, &m->end, v_lo, v_hi);
     }
-    stops_tighten(&m->end, &m->momentum, &m->at, &m->start, m->v0_lo, m->v0_hi, v_lo, v_hi);
+    stops_tighten(&m->end, &m->momentum, &m->near.at, v_lo, v_hi);
     stops_total(n, &m->end, v_lo, v_hi);
     if (m->energetic && m->pulled)
         pull(m, v_lo, v_hi);
     else if (m->energetic)
-        m->energy.y = least(m->energy.y, stops_largest(&m->at, v_lo, v_hi));
+        m->energy.y = least(m->energy.y, stops_largest(&m->near.at, v_lo, v_hi));
     const Bands swap = m->b;
     m->b = m->end;
     m->end = swap;
@@ -394,42 +388,39 @@ static int held(const March *m, int64_t k) {
     for (int i = 0; i < n; i++)
         if (m->tube->v_lo[(k + 1) * n + i] != 0.0 || m->tube->v_hi[(k + 1) * n + i] != 0.0) return 0;
     for (int i = 0; i < n; i++) {
-        const double load = m->p->curvature.load[i];
-        const double up = least(-m->at.h_lo[i], load) + m->p->u_hi[i], down = least(m->at.h_hi[i], load) - m->p->u_lo[i];
+        const double load = m->near.plant->curvature.load[i];
+        const double up = least(-m->near.at.h_lo[i], load) + m->near.plant->u_hi[i], down = least(m->near.at.h_hi[i], load) - m->near.plant->u_lo[i];
         m->tube->margin[i] = m->s.B_lo[i] - most(up, down);
         if (!(m->tube->margin[i] >= 0.0)) surely = 0; /* what is not a number holds nothing */
     }
     return surely;
 }
 
-static void begin(March *m, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, const double *middle) {
+static void begin(March *m, const StopsetBox *box, const double *middle) {
     const int n = m->n;
-    const size_t row = (size_t)n * sizeof(double);
-    double x_lo[SN], x_hi[SN];
-    memcpy(m->q_lo, q_lo, row);
-    memcpy(m->q_hi, q_hi, row);
-    memcpy(m->v0_lo, v0_lo, row);
-    memcpy(m->v0_hi, v0_hi, row);
-    memcpy(m->tube->v_lo, v0_lo, row);
-    memcpy(m->tube->v_hi, v0_hi, row);
-    memset(m->tube->d_lo, 0, row);
-    memset(m->tube->d_hi, 0, row);
+    Span x, v;
+    stops_span(n, box->x_lo, box->x_hi, &m->q);
+    stops_span(n, box->v_lo, box->v_hi, &v);
+    stops_span(n, box->v_lo, box->v_hi, &m->v);
+    memcpy(m->tube->v_lo, v.lo, (size_t)n * sizeof *v.lo);
+    memcpy(m->tube->v_hi, v.hi, (size_t)n * sizeof *v.hi);
+    memset(m->tube->d_lo, 0, (size_t)n * sizeof *m->tube->d_lo);
+    memset(m->tube->d_hi, 0, (size_t)n * sizeof *m->tube->d_hi);
     expand(m, middle);
     for (int i = 0; i < n; i++) {
-        x_lo[i] = q_lo[i] - m->E.q[i];
-        x_hi[i] = q_hi[i] - m->E.q[i];
+        x.lo[i] = m->q.lo[i] - m->near.E.q[i];
+        x.hi[i] = m->q.hi[i] - m->near.E.q[i];
         m->tube->margin[i] = -STOPS_INF;
-        m->energy.cap[i] = m->energy.end[i] = m->farthest_hi[i] = m->cap.hi[i] = STOPS_INF;
+        m->energy.cap[i] = m->energy.end[i] = m->farthest.hi[i] = m->cap.hi[i] = STOPS_INF;
         m->cap.lo[i] = -STOPS_INF;
-        m->farthest_lo[i] = -STOPS_INF;
+        m->farthest.lo[i] = -STOPS_INF;
     }
-    stops_box_terms(&m->E, &m->p->curvature, x_lo, x_hi, v0_lo, v0_hi, m->parts, &m->start);
-    m->at.n = n;
-    stops_start_bands(n, v0_lo, v0_hi, &m->b);
-    stops_start_pulls(&m->start, v0_lo, v0_hi, &m->momenta);
+    m->near.at.n = n;
+    stops_start_bands(n, &v, &m->b);
     m->end = m->b;
-    stops_start_momentum(&m->start, v0_lo, v0_hi, &m->b, &m->momentum);
-    m->energy.y = stops_largest(&m->start, v0_lo, v0_hi);
+    stops_start_momentum(&m->near, &x, &v, &m->b, &m->momentum);
+    stops_start_pulls(&m->momentum.start, &v, &m->momenta);
+    m->energy.y = stops_largest(&m->momentum.start, v.lo, v.hi);
 }
 
 /* The longest step from `now`: none passes the moment at which the first brake may close, and until all have closed none is longer than `brief`. */
@@ -438,15 +429,15 @@ static double step_from(double now, double closing, double engaged, double h, do
     return now < engaged ? least(h, brief) : h;
 }
 
-static int march(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h, double brief,
-                 int64_t steps, const StopsetParts *parts, int energetic, int related, const StopsetTube *tube, int64_t *made) {
-    const int n = plant->arm.n;
+static int march(const StopsetPlant *plant, const StopsetBox *box, const StopsetStride *stride, const StopsetParts *parts, int related,
+                 const StopsetTube *tube, int64_t *made) {
+    const int n = plant->arm.n, energetic = stride->energetic;
     double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0, lowest = STOPS_INF;
     int idle = 0;
     March m;
     memset(&m, 0, sizeof m);
-    m.p = plant;
-    m.parts = parts;
+    m.near.plant = plant;
+    m.near.parts = parts;
     m.tube = tube;
     m.n = n;
     m.energetic = m.pulled = energetic;
@@ -454,20 +445,20 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
     tube->t[0] = 0.0;
     for (int i = 0; i < n; i++) tube->travel_left[i] = STOPS_INF;
     for (int i = 0; i < n; i++) {
-        middle[i] = 0.5 * (q_lo[i] + q_hi[i]);
+        middle[i] = 0.5 * (box->x_lo[i] + box->x_hi[i]);
         closing = least(closing, plant->delay_lo[i]);
         engaged = most(engaged, plant->delay_hi[i] + plant->rise_hi[i]);
-        quick = most(quick, most(size_of(v0_lo[i]), size_of(v0_hi[i])));
+        quick = most(quick, most(size_of(box->v_lo[i]), size_of(box->v_hi[i])));
     }
-    begin(&m, q_lo, q_hi, v0_lo, v0_hi, middle);
-    memcpy(gravity, m.E.g, sizeof gravity);
+    begin(&m, box, middle);
+    memcpy(gravity, m.near.E.g, sizeof gravity);
     /* bands that feed on each other grow without end; what the energy allows is finite, however fast an arm may fall */
     if (!energetic) fastest = related ? 4.0 * quick + 2.0 : 20.0 * quick + 20.0;
-    for (int64_t k = 0; k < steps; k++) {
+    for (int64_t k = 0; k < stride->count; k++) {
         const double now = tube->t[k], y = m.energy.y;
         double widest = -STOPS_INF;
         *made = k;
-        m.h = step_from(now, closing, engaged, h, brief);
+        m.s.h = step_from(now, closing, engaged, stride->h, stride->brief);
         if (!prepare(&m, k, now, middle, gravity)) return UNBOUNDED;
         guess_claims(&m, k);
         const int verified = take_step(&m, k, now);
@@ -475,7 +466,7 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
         m.related = m.related && verified; /* where it does not help it costs the most */
         displace(&m, k);
         settle(&m, k, y);
-        tube->t[k + 1] = now + m.h;
+        tube->t[k + 1] = now + m.s.h;
         *made = k + 1;
         for (int i = 0; i < n; i++) tube->travel_left[(k + 1) * n + i] = STOPS_INF;
         for (int i = 0; i < n; i++) {
@@ -490,7 +481,7 @@ static int march(const StopsetPlant *plant, const double *q_lo, const double *q_
         lowest = now < engaged ? STOPS_INF : least(lowest, m.energy.y);
         if (idle > most_idle && energetic) return ENDLESS; /* brakes gain no more torque: what they do not slow now falls on */
     }
-    *made = steps;
+    *made = stride->count;
     return ENDLESS;
 }
 
@@ -508,10 +499,10 @@ static int lasted(const StopsetPlant *p, double t) {
     return t >= closing + lasting * (engaged - closing);
 }
 
-int stopset_stop_tube(const StopsetPlant *plant, const double *q_lo, const double *q_hi, const double *v0_lo, const double *v0_hi, double h,
-                      double brief, int64_t steps, const StopsetParts *parts, int energetic, const StopsetTube *tube, int64_t *made) {
+int stopset_stop_tube(const StopsetPlant *plant, const StopsetBox *box, const StopsetStride *stride, const StopsetParts *parts,
+                      const StopsetTube *tube, int64_t *made) {
     if (plant->arm.n < 1 || plant->arm.n > SN) return -STOPSET_TOO_MANY_JOINTS;
-    const int end = march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, energetic, energetic, tube, made);
-    if (end == OK || energetic || !lasted(plant, tube->t[*made])) return end;
-    return march(plant, q_lo, q_hi, v0_lo, v0_hi, h, brief, steps, parts, 0, 1, tube, made);
+    const int end = march(plant, box, stride, parts, stride->energetic, tube, made);
+    if (end == OK || stride->energetic || !lasted(plant, tube->t[*made])) return end;
+    return march(plant, box, stride, parts, 1, tube, made);
 }
