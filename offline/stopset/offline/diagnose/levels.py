@@ -128,9 +128,8 @@ def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tupl
     direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
     usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
     level = a.before + usual * b.before
-    error = abs(
-        a_error - usual * b_error
-    )  # the model's own of the level: its two parts err against each other, and cancel at one speed
+    # the model's own error of the level: its two parts err against each other, and cancel at one speed
+    error = abs(a_error - usual * b_error)
     shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
     free = LevelChange(
         joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
