@@ -99,7 +99,7 @@ def march_box(
     """One tube of ``plant`` from the states of ``start``.
 
     Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here: first
-    with a coarse tube where laws look at the rigid body, and so at every joint.
+    with a coarse tube where laws look at most joints.
     """
     fast, angles, speeds = start.fastest, start.angles, start.speeds
     knots = knots or (ENERGY_KNOTS if energetic else KNOTS)
@@ -111,7 +111,7 @@ def march_box(
         return march(plant, angles, speeds, steps, parts, energetic=energetic)
     region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
-        coarse = not region.known and bool(setting.torques.needs)
+        coarse = not region.known and setting.torques.far_seeing
         few, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
         steps = Stride(lasts / few, few * patience + brief, closes / brief)
         at = setting.with_friction(plant, region.friction(setting, start))

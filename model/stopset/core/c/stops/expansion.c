@@ -218,11 +218,12 @@ void stops_expand(const StopsetArm *arm, const double *pi_half, const double *ro
         bends(&b, E->ddMp);
         inertia_roots(&b, pi_half, E);
     } else {
-        memset(E->Mp, 0, sizeof E->Mp);
-        memset(E->dMp, 0, sizeof E->dMp);
-        memset(E->gp, 0, sizeof E->gp);
-        memset(E->dgp, 0, sizeof E->dgp);
-        memset(E->Gammap, 0, sizeof E->Gammap);
+        const size_t one = (size_t)n * sizeof(double), two = one * (size_t)n, three = two * (size_t)n;
+        memset(E->Mp, 0, two);
+        memset(E->dMp, 0, three);
+        memset(E->gp, 0, one);
+        memset(E->dgp, 0, two);
+        memset(E->Gammap, 0, three);
     }
     for (int i = 0; i < n * n; i++) E->root[i] = sqrt(E->root[i]);
 }

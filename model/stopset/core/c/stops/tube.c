@@ -7,6 +7,7 @@
  * Source: Moreau (1988) for the inclusion; Goodnight (1979) for the sweep operator.
  */
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "stops.h"
@@ -27,10 +28,10 @@ typedef struct {
     Span w, x, v;     /* on the step: claimed speeds, angles from the pose, speeds under its lines */
     Span momenta, cap; /* of all joints at the knot; of speeds on the step */
     Step s;
-    Near near;
     Bands b, end;
-    Momentum momentum;
     Energy energy;
+    Near near; /* from here on nothing is read that was not written, and much is room for more joints */
+    Momentum momentum;
 } March;
 
 static double ramp(double t, double delay, double rise) {
@@ -435,7 +436,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
     double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0, lowest = STOPS_INF;
     int idle = 0;
     March m;
-    memset(&m, 0, sizeof m);
+    memset(&m, 0, offsetof(March, near));
     m.near.plant = plant;
     m.near.parts = parts;
     m.tube = tube;
