@@ -73,11 +73,9 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelCh
         return block
 
     rubs = [at(np.sign(dq[:, j]), dq[:, j], j=j) for j in range(n)]
-    own = _own(model, q, dq, ddq, rubs)
     for j, joint in enumerate(model.joints):
         (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
-        further = [c for c in own if c.joint == j and get(c.levels[0].effect).role == "friction"]
-        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error), further)
+        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error))
         least = np.array([limit.DAILY * dry])
         out.append(LevelChange(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
         usual = dry + wet * float(np.mean(np.abs(dq[:, j])))
@@ -85,7 +83,7 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelCh
             least = np.array([limit.LEAST_GAIN])
             out.append(LevelChange(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
     tip = np.ascontiguousarray(regressors(model.robot.chain, q, dq, ddq)[:, :, -10:][:, :, :4])
-    out += own
+    out += _own(model, q, dq, ddq, rubs)
     load = tuple(_said_of(body, term=k) for k in range(4))
     out.append(
         LevelChange(None, tip, np.concatenate(rubs, axis=2), load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3]))
@@ -120,24 +118,19 @@ def _own(model: Model, q: Array, dq: Array, ddq: Array, rubs: Sequence[Array]) -
     return out
 
 
-def _friction(
-    joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float], further: Sequence[LevelChange]
-) -> list[LevelChange]:
+def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float]) -> list[LevelChange]:
     """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
 
-    ``rubs`` (rows, n, 2): direction and speed; ``further``: changes of the joint's other friction laws.  In the first three the shares of
-    all laws may be off as the model's errors are, at the speeds of these rows: what counts is how much friction there is.
+    ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
+    at the speeds of these rows: what counts is how much friction there is.
     """
     (a, a_error), (b, b_error) = dry, wet
     direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
-    usual = _usual(speed, direction)
+    usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
     level = a.before + usual * b.before
-    error = abs(
-        a_error - usual * b_error
-    )  # the model's own of the level: its two parts err against each other, and cancel at one speed
-    parts = [(speed, max(b_error, limit.DAILY * b.before, 1e-9))]  # in the model's own errors
-    parts += [(c.columns[:, :, k : k + 1], max(e, 1e-9)) for c in further for k, e in enumerate(c.error)]
-    shares = np.concatenate([(x - _usual(x, direction) * direction) * size for x, size in parts], axis=2)
+    # the model's own error of the level: its two parts err against each other, and cancel at one speed
+    error = abs(a_error - usual * b_error)
+    shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
     free = LevelChange(
         joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
         limit.DAILY * np.array([a.before, b.before]), friction=True,
@@ -154,11 +147,6 @@ def _friction(
             for x, said, per in one
         ),
     ]
-
-
-def _usual(column: Array, direction: Array) -> float:
-    """How much of a friction law there is, per unit of a dry one, over these rows."""
-    return float(np.sum(column * direction) / max(np.sum(np.abs(direction)), 1.0))
 
 
 def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:

@@ -219,8 +219,8 @@ SETTLED = (
     Threshold("PATTERN_SHARE", "share of its joint's claims' score from which on a pattern left contradicts them", "%",
               "a true law leaves below 1 %, an impostor a quarter and more"),
     Threshold("PATTERN_SIZE", "and its variance, in what the claims took away", "",
-              "a spring that hardens by 5 % at 1 rad leaves 0.001 of what a straight one takes away; impostors 0.34 (a bump called spring) "
-              "and 36; the threshold is between them in the logarithm"),
+              "chosen; tests hold that what a stiffening dress pack leaves does not contradict a straight spring, and that what a bump in the "
+              "torque leaves contradicts what is named of it; `benchmarks/pattern_size.py` prints both sides"),
     Threshold("PATTERN_ROWS", "moving rows of a joint from which on a pattern is looked for", "",
               "chosen: 24 steps of four rows"),
     Threshold("TOGETHER", "two variables are named together where their product explains so many times what either does alone", "",
