@@ -55,6 +55,12 @@ def core_stop(bounds: StopBounds) -> Callable[..., Stopped | None]:
     return CompiledStops.of(bounds.setting, bounds.ramp).bound
 
 
+def sprung(*axes: int) -> Model:
+    """Laws of few joints' angles, or of most: a coarse tube first finds the region of the latter."""
+    springs = [friction("spring", f"axis_{j}", k=40.0, c=2.0) for j in axes]
+    return braked(8.0, 3, effort="motor_torque", effects=[friction("coulomb", "axis_1", F_c=3.0), *springs])
+
+
 MODELS: dict[str, Callable[[], Model]] = {
     "tube": lambda: braked(8.0),
     "energy": lambda: braked(1.3),
@@ -64,6 +70,8 @@ MODELS: dict[str, Callable[[], Model]] = {
         effects=[friction("coulomb", "axis_1", F_c=3.0), friction("viscous", "axis_2", F_v=20.0), friction("encoder_offset", "axis_2", e=0.01)],
     ),
     "of pose": lambda: effects_of_pose(),
+    "a spring": lambda: sprung(2),
+    "springs": lambda: sprung(1, 2, 3),
     "together": lambda: cut_together(0.004),
     "together, one late": lambda: cut_together(0.03, np.array([0.0, 0.002, 0.0, 0.004])),
     "no such stop": lambda: cut_together(0.001, np.array([0.0, 0.1, 0.0, 0.0])),
