@@ -61,10 +61,23 @@ static int read_rows(const char *path) {
     return n;
 }
 
-static fmi3Instance begun(const char *token, fmi3Boolean measured) {
+/* A kind of stop: of a ramp that may fail, when power is taken then: when it is left (SS1-r), else after a time [s] (SS1-t). */
+typedef struct {
+    const char *name;
+    fmi3ValueReference time;
+    fmi3Boolean monitored;
+    fmi3Float64 off_after;
+} Kind;
+
+static fmi3Instance begun(const char *token, fmi3Boolean measured, const Kind *kind) {
     const fmi3ValueReference flag = N_REAL + N_INT + IX_MEASURED;
     fmi3Instance c = fmi3InstantiateCoSimulation("a", token, "", fmi3False, fmi3False, fmi3False, fmi3False, 0, 0, 0, say, 0);
-    if (!c || fmi3EnterInitializationMode(c, fmi3False, 0.0, 0.0, fmi3False, 0.0) || fmi3ExitInitializationMode(c) ||
+    if (!c) exit(1);
+#if N_STOPS > 1
+    const fmi3ValueReference monitored = N_REAL + N_INT + IX_SS1_MONITORED, off_after = VR_SS1_OFF_AFTER;
+    if (kind && (fmi3SetBoolean(c, &monitored, 1, &kind->monitored, 1) || fmi3SetFloat64(c, &off_after, 1, &kind->off_after, 1))) exit(1);
+#endif
+    if (fmi3EnterInitializationMode(c, fmi3False, 0.0, 0.0, fmi3False, 0.0) || fmi3ExitInitializationMode(c) ||
         fmi3SetBoolean(c, &flag, 1, &measured, 1))
         exit(1);
     return c;
@@ -87,7 +100,7 @@ static void steps(const char *token, int n, fmi3Boolean measured) {
     int count = 0;
     fmi3Boolean event, end, early;
     for (int r = 0; r < REPEATED; r++) {
-        fmi3Instance c = begun(token, measured);
+        fmi3Instance c = begun(token, measured, 0);
         for (int k = 0; k + 1 < n; k++, count++) {
             connect(c, k);
             const double begin = now();
@@ -100,23 +113,23 @@ static void steps(const char *token, int n, fmi3Boolean measured) {
            at_share(took, count, 0.5), 1e6 * sum / count, at_share(took, count, 0.99));
 }
 
-/* Of every second row the bound of one category, with the brakes' proof apart where that is all of it. */
-static void bounds(const char *token, int n, const char *name, fmi3ValueReference vr) {
+/* Of every second row the bound of one kind, with the brakes' proof apart where that is all of it. */
+static void bounds(const char *token, int n, const Kind *kind) {
     int count = 0, proved = 0;
-    fmi3Instance c = begun(token, fmi3True);
+    fmi3Instance c = begun(token, fmi3True, kind);
     for (int k = 0; k < n; k += 2, count++) {
         double x;
         connect(c, k);
         proof = 0.0;
         const double begin = now();
-        if (fmi3GetFloat64(c, &vr, 1, &x, 1)) exit(1);
+        if (fmi3GetFloat64(c, &kind->time, 1, &x, 1)) exit(1);
         took[count] = now() - begin;
         around[count] = took[count] - proof;
         proved += isfinite(x);
     }
     fmi3FreeInstance(c);
     const double median = at_share(took, count, 0.5), most = at_share(took, count, 1.0);
-    printf("in C, %s: a bound is read in %.0f us CPU (median), %.0f us at most; %d of %d states proved", name, median, most, proved, count);
+    printf("in C, %s: a bound is read in %.0f us CPU (median), %.0f us at most; %d of %d states proved", kind->name, median, most, proved, count);
     if (proof > 0.0) printf("; beside the core's proof %.1f us", at_share(around, count, 0.5));
     printf("\n");
 }
@@ -126,8 +139,9 @@ int main(int argc, char **argv) {
     const int n = read_rows(argv[1]);
     steps(argv[2], n, fmi3False);
     steps(argv[2], n, fmi3True);
-    static const char *name[] = {"STOP 0", "STOP 1 that works", "STOP 1 that may fail", "STOP 2"};
-    static const fmi3ValueReference time_of[] = {VR_STOP_TIME, VR_STOP1_NOMINAL_TIME, VR_STOP1_GUARANTEED_TIME, VR_STOP2_TIME};
-    for (int k = 0; stopset_model.has_brakes && k < N_STOPS && k < 4; k++) bounds(argv[2], n, name[k], time_of[k]);
+    static const Kind kinds[] = {{"STOP 0", VR_STOP_TIME, fmi3False, -1.0}, {"STOP 1 that works", VR_STOP1_NOMINAL_TIME, fmi3False, -1.0},
+                                 {"STOP 1 that may fail, SS1-t of 0.3 s", VR_STOP1_GUARANTEED_TIME, fmi3False, 0.3},
+                                 {"STOP 1 that may fail, SS1-r", VR_STOP1_GUARANTEED_TIME, fmi3True, -1.0}, {"STOP 2", VR_STOP2_TIME, fmi3False, -1.0}};
+    for (int k = 0; stopset_model.has_brakes && k < (N_STOPS > 1 ? 5 : 1); k++) bounds(argv[2], n, kinds + k);
     return 0;
 }

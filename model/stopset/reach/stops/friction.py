@@ -122,6 +122,11 @@ class Torques:
         """What laws look at of the rigid body, in the core's bits."""
         return reduce(or_, (x.needs for x in self.laws), 0)
 
+    @property
+    def far_seeing(self) -> bool:
+        """Whether laws look at most joints, as they do by the rigid body: then a guessed region mostly has to be mended."""
+        return self.needs != 0 or 2 * len({x.joint for x in self.laws if x.roams}) > len(self.gear)
+
     def over(self, q: Box, speed: Array) -> Friction:
         """At angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]. Raises `NotCovered` where a law has no bound."""
         n = len(speed)

@@ -99,7 +99,7 @@ def march_box(
     """One tube of ``plant`` from the states of ``start``.
 
     Where effects depend on pose or speed, they are those of a `Region` that the stop must not leave, given or found here: first
-    with a coarse tube where laws look at the rigid body, and so at every joint.
+    with a coarse tube where laws look at most joints.
     """
     fast, angles, speeds = start.fastest, start.angles, start.speeds
     knots = knots or (ENERGY_KNOTS if energetic else KNOTS)

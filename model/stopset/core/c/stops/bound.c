@@ -148,6 +148,14 @@ static int holds(const StopAsk *a, Region *region, double fastest[SN]) {
     return asked(a, region) && !memcmp(before, region->friction, (size_t)(6 * n) * sizeof *before) && inside(region, n, moved, fastest);
 }
 
+/* Whether laws look at most joints, as they do by the rigid body: then the guess mostly has to be mended. */
+static int far_seeing(const StopsetTorques *torques, int n) {
+    int seen[SN] = {0}, count = 0;
+    for (int k = 0; k < torques->laws; k++) seen[torques->law[k].joint] |= torques->law[k].roams;
+    for (int i = 0; i < n; i++) count += seen[i];
+    return torques->needs || 2 * count > n;
+}
+
 /* A continuous motion that stays inside a region while it has not left cannot leave. */
 int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int energetic, Region *region, double fastest[SN]) {
     const StopsetStops *s = a->stops;
@@ -164,8 +172,7 @@ int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int 
     }
     const StopsetBox box = {0, q_lo, q_hi, v_lo, v_hi};
     for (int k = 0; k < REGIONS; k++) {
-        /* laws that look at the rigid body look at every joint: there the guess mostly has to be mended */
-        const int coarse = s->torques && s->torques->needs && !region->known, steps = coarse ? knots / COARSE : knots, brief = coarse ? closing / COARSE : closing;
+        const int coarse = s->torques && !region->known && far_seeing(s->torques, n), steps = coarse ? knots / COARSE : knots, brief = coarse ? closing / COARSE : closing;
         if (s->torques && !asked(a, region)) return 0;
         StopsetPlant plant = s->torques ? stops_with_friction(&s->plant, region->friction) : s->plant;
         plant.delay_lo = delay_lo;
