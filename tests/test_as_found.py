@@ -314,6 +314,9 @@ def test_what_is_no_claim() -> None:
     shape = {"K": 6588.0, "D": 199.0}
     assert "times what such a gear makes" in objection(gear, {"share": 1.5, **shape}, {"share": 0.06}, 60.0)
     assert objection(gear, {"share": 1.05, **shape}, {"share": 0.005}, 60.0) == ""
+    # a real UR10e's elbow, and an elbow beside a gear with play: neither is shown to swing as such a gear does
+    assert "times what such a gear makes" in objection(gear, {"share": 0.83, **shape}, {"share": 0.066}, 60.0)
+    assert "times what such a gear makes" in objection(gear, {"share": 0.76, **shape}, {"share": 0.042}, 60.0)
     nothing = {t.symbol: 0.0 for t in body.terms}
     # a healthy arm weeks later: a moment of five times its error, and no mass
     assert "its mass is not" in objection(

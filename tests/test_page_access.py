@@ -95,6 +95,26 @@ def shown(view: View, browser: Any, word: str) -> Iterator[ViewerPage]:
         page.server_close()
 
 
+DRAWN = """
+const canvas = document.createElement('canvas'); canvas.width = 900; canvas.height = 640;
+Arm.draw(canvas, [[0, 0, 0], [0, 0, 0.5], [0.5, 0, 0.5]], [[arguments[0], '#f0a202']], []);
+const drawn = canvas.getContext('2d').getImageData(0, 0, 900, 640).data;
+let count = 0;
+for (let k = 0; k < drawn.length; k += 4) count += drawn[k] > 200 && drawn[k + 2] < 180 && drawn[k + 3] > 100;
+return count;
+"""
+
+
+def test_a_swept_ball_is_drawn_as_well_as_a_swept_line(browser: Any) -> None:
+    """A stop that may go anywhere sweeps balls: their capsules have no length, and a canvas strokes no such line."""
+    with shown(moving(State.OK).view, browser, "OK"):
+        line, ball, none = (
+            browser.execute_script(DRAWN, capsules)
+            for capsules in ([[0.0, 0.0, 0.5, 0.02, 0.0, 0.5, 0.7]], [[0.0, 0.0, 0.5, 0.0, 0.0, 0.5, 0.7]], [])
+        )
+    assert ball > 20 * none and line > 1.01 * ball
+
+
 @pytest.mark.parametrize("state", [State.OK, State.DEGRADED, State.VIOLATION, State.UNKNOWN, State.FAULT])
 def test_the_live_page_is_for_everybody(state: State, browser: Any, axe: str) -> None:
     view = moving(state).view

@@ -27,10 +27,12 @@ const Arm = (() => {
     }
     for (const [capsules, colour] of sweeps) {
       const part = new OffscreenCanvas(w, h), p = part.getContext('2d');
-      p.lineCap = 'round'; p.strokeStyle = colour;  // drawn whole, then laid on once: one volume, not a pile of capsules
+      p.lineCap = 'round'; p.strokeStyle = p.fillStyle = colour;  // drawn whole, then laid on once: one volume, not a pile of capsules
       for (const c of capsules) {
-        p.lineWidth = Math.max(1, 2 * scale * c[6]);
-        p.beginPath(); p.moveTo(...at(c.slice(0, 3))); p.lineTo(...at(c.slice(3, 6))); p.stroke();
+        const from = at(c.slice(0, 3)), radius = Math.max(0.5, scale * c[6]);
+        p.lineWidth = 2 * radius;
+        p.beginPath(); p.moveTo(...from); p.lineTo(...at(c.slice(3, 6))); p.stroke();
+        p.beginPath(); p.arc(...from, radius, 0, 2 * Math.PI); p.fill();  // a ball: a line without length is not stroked
       }
       g.globalAlpha = 0.55; g.drawImage(part, 0, 0); g.globalAlpha = 1;
     }

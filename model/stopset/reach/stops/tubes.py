@@ -111,7 +111,7 @@ def march_box(
         return march(plant, angles, speeds, steps, parts, energetic=energetic)
     region = region or Region.first(setting, fast, lasts)
     for _ in range(REGIONS):
-        coarse = not region.known and bool(setting.torques.needs)
+        coarse = not region.known and setting.torques.far_seeing
         few, brief = (max(1, count // (COARSE if coarse else 1)) for count in (knots.stop, knots.closing))
         steps = Stride(lasts / few, few * patience + brief, closes / brief)
         at = setting.with_friction(plant, region.friction(setting, start))

@@ -73,9 +73,11 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelCh
         return block
 
     rubs = [at(np.sign(dq[:, j]), dq[:, j], j=j) for j in range(n)]
+    own = _own(model, q, dq, ddq, rubs)
     for j, joint in enumerate(model.joints):
         (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
-        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error))
+        further = [c for c in own if c.joint == j and get(c.levels[0].effect).role == "friction"]
+        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error), further)
         least = np.array([limit.DAILY * dry])
         out.append(LevelChange(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
         usual = dry + wet * float(np.mean(np.abs(dq[:, j])))
@@ -83,7 +85,7 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelCh
             least = np.array([limit.LEAST_GAIN])
             out.append(LevelChange(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
     tip = np.ascontiguousarray(regressors(model.robot.chain, q, dq, ddq)[:, :, -10:][:, :, :4])
-    out += _own(model, q, dq, ddq, rubs)
+    out += own
     load = tuple(_said_of(body, term=k) for k in range(4))
     out.append(
         LevelChange(None, tip, np.concatenate(rubs, axis=2), load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3]))
@@ -118,27 +120,45 @@ def _own(model: Model, q: Array, dq: Array, ddq: Array, rubs: Sequence[Array]) -
     return out
 
 
-def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float]) -> list[LevelChange]:
+def _friction(
+    joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float], further: Sequence[LevelChange]
+) -> list[LevelChange]:
     """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
 
-    ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
-    at the speeds of these rows: what counts is how much friction there is.
+    ``rubs`` (rows, n, 2): direction and speed; ``further``: changes of the joint's other friction laws.  In the first three the shares of
+    all laws may be off as the model's errors are, at the speeds of these rows: what counts is how much friction there is.
     """
     (a, a_error), (b, b_error) = dry, wet
     direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
-    usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
+    usual = _usual(speed, direction)
     level = a.before + usual * b.before
-    shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
+    error = abs(
+        a_error - usual * b_error
+    )  # the model's own of the level: its two parts err against each other, and cancel at one speed
+    parts = [(speed, max(b_error, limit.DAILY * b.before, 1e-9))]  # in the model's own errors
+    parts += [(c.columns[:, :, k : k + 1], max(e, 1e-9)) for c in further for k, e in enumerate(c.error)]
+    shares = np.concatenate([(x - _usual(x, direction) * direction) * size for x, size in parts], axis=2)
     free = LevelChange(
         joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
         limit.DAILY * np.array([a.before, b.before]), friction=True,
     )  # fmt: skip
     one = [
-        (direction, (a,), limit.DAILY * level),
-        (speed, (b,), limit.DAILY * level / max(usual, 1e-9)),
-        (direction * a.before + speed * b.before, (a._replace(per=a.before), b._replace(per=b.before)), limit.DAILY),
+        (direction, (a,), 1.0),
+        (speed, (b,), max(usual, 1e-9)),
+        (direction * a.before + speed * b.before, (a._replace(per=a.before), b._replace(per=b.before)), max(level, 1e-9)),
     ]
-    return [free, *(LevelChange(joint, x, shares, said, np.zeros(1), np.array([least]), friction=True) for x, said, least in one)]
+    return [
+        free,
+        *(
+            LevelChange(joint, x, shares, said, np.array([error / per]), np.array([limit.DAILY * level / per]), friction=True)
+            for x, said, per in one
+        ),
+    ]
+
+
+def _usual(column: Array, direction: Array) -> float:
+    """How much of a friction law there is, per unit of a dry one, over these rows."""
+    return float(np.sum(column * direction) / max(np.sum(np.abs(direction)), 1.0))
 
 
 def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:

@@ -24,7 +24,7 @@ HANDFUL = 5
 SHORTEST_LAG = 0.004  # [s]
 LAG_PRICE = 2 * log(40.0)
 SWING_PRICE = 2 * log(1000.0)
-BUILT_UP = 2.0  # Coulomb torques
+BUILT_UP = 2.0  # friction torques
 FAR_OVER_NOISE = 2.0  # variance over the sensors' noise
 SWINGS = (4.0, 70.0)  # [rad/s]
 SWING_JOINTS = 3
@@ -42,7 +42,7 @@ UNEVEN = 0.5  # of the trials
 STAMPS = 0.5  # of a sample
 
 SURE = 2.0  # standard deviations
-WHOLE = 0.25  # of a gear's swing
+WHOLE = 0.15  # of a gear's swing
 EDGE = 1e-3  # relative
 FEW_TRIALS = 20
 PART = 10.0  # [s]
@@ -162,7 +162,7 @@ SETTLED = (
               "no effect"),
     Threshold("LAG_PRICE", "price of a lag, paid by contenders and claims alike", "", "half a millisecond found among 20"),
     Threshold("SWING_PRICE", "the same of an elastic gear", "", "stiffness found to 1 %, damping to a tenth"),
-    Threshold("BUILT_UP", "Coulomb torques of the first fit that hysteresis may build up", "",
+    Threshold("BUILT_UP", "friction torques of the first fit, at the joint's usual speed, that hysteresis may build up", "",
               "chosen: hysteresis makes that first friction smaller, so more than one is possible"),
     Threshold("FAR_OVER_NOISE", "residual variance over noise from which a delay is looked for by shifting the record", "",
               "chosen: from here on the shifted record's own noise cannot pass for an effect"),
@@ -194,8 +194,9 @@ SETTLED = (
               "a torque held over a sample acts half a sample later than its stamp"),
     Threshold("SURE", "standard deviations that some number of an effect must exceed, and none its range", "",
               "chosen: else the recordings give it no size"),
-    Threshold("WHOLE", "how far a gear's swing may be off the size that its stiffness gives it", "%",
-              "1.00 and 1.05 on the labelled sets"),
+    Threshold("WHOLE", "how far a gear's swing may be off the size that its stiffness gives it, its error included", "%",
+              "true gears of labelled, generated and hardware-size sets 1 to 10 %; what imitates one 22 % and more (a real UR10e's elbow, whose two "
+              "halves of recordings contradict each other: 0.83 +- 0.07 in all, 0.64 +- 0.04 in one; play in the gear beside it)"),
     Threshold("EDGE", "a shape this near to the end of its range was stopped there, not found", "%",
               "chosen"),
     Threshold("FEW_TRIALS", "trials below which parts of them are taken as independent", "",

@@ -21,7 +21,8 @@ def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, flo
         v, s = sizes[t.symbol]
         if v < t.lo - limit.SURE * s or v > t.hi + limit.SURE * s:
             return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
-    if effect.role == "swing" and abs(values["share"] - 1.0) > limit.WHOLE + limit.SURE * (sizes["share"][1]):
+    # a gear's swing follows from its stiffness: one that is not shown to be as large is something else that looks alike
+    if effect.role == "swing" and abs(values["share"] - 1.0) + limit.SURE * sizes["share"][1] > limit.WHOLE:
         v, s = sizes["share"]
         return f"its swing is {v:.3g} +- {s:.2g} times what such a gear makes; a true one is within {limit.WHOLE:.0%} of it"
     for p in effect.shapes:

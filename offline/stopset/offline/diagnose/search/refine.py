@@ -28,9 +28,10 @@ def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Sco
 
 
 def possible(engine: Engine, s: Scored) -> bool:
-    """Within its range; friction that builds up after a reversal is part of its joint's own."""
+    """Within its range; friction that builds up after a reversal is part of its joint's own, dry and viscous together: short motions
+    hardly tell the two from each other, and what builds up makes the first fit's dry part small."""
     c = s.candidate
-    return s.admissible and (not c.effect.within_friction or s.theta[0] < limit.BUILT_UP * engine.friction[c.joints[0], 0])
+    return s.admissible and (not c.effect.within_friction or s.theta[0] < limit.BUILT_UP * engine.level(c.joints[0]))
 
 
 def _out_of_step(s: Scored) -> bool:
