@@ -73,7 +73,8 @@ int main(void) {
     const double rise[N] = {0.015625, 0.015625, 0.03125, 0.015625, 0.015625, 0.0078125};
     const StopsetSimStop stop = {arm, rotor, dry, viscous, brake, delay, rise};
     fill(push, 4 * N, 1.0);
-    refused |= stopset_sim_stop(&stop, x, y, 1.0 / 1024.0, STEPS, 4, push, q, v);
+    const StopsetSimTime horizon = {1.0 / 1024.0, STEPS, 4, push};
+    refused |= stopset_sim_stop(&stop, x, y, &horizon, q, v);
     eat(q, (STEPS + 1) * N), eat(v, (STEPS + 1) * N);
     printf("%s %08x\n", refused ? "refused" : stopset_sources(), (unsigned)sum);
     return refused;

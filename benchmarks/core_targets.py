@@ -61,10 +61,11 @@ def step_us() -> float:
     lib.stopset_centre(struct)
     nothing, none = np.zeros(2 * n), np.zeros(n)
     x, u = view(nothing), view(none)
+    reading = ffi.new("StopsetReading *", (x, x, u, u))
 
     def step() -> None:
         age[:] = np.arange(AGES)
-        lib.stopset_advance(struct, x, x, u, u, 0, 1, seen)
+        lib.stopset_advance(struct, reading, 0, 1, seen)
 
     def setting() -> None:
         age[:] = np.arange(AGES)

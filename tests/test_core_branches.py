@@ -22,7 +22,7 @@ from stopset.monitor.inputs import Inputs
 from stopset.monitor.watch import Quantum
 from stopset.offline.description import robot_from_text
 from stopset.reach.flowpipe import deviation_tube, discretise, responses
-from stopset.reach.nonlinear import dynamics
+from stopset.reach.nonlinear import dynamics, joint_struct
 from stopset.reach.stops.cartesian import slices
 from stopset.reach.stops.tube import OK, Tube
 from stopset.robot.rigid import arm_struct, torques
@@ -170,15 +170,15 @@ def test_a_march_is_powers_of_its_step() -> None:
 @pytest.mark.parametrize("v", [0.0, 1e-6, 1.3])
 def test_the_corners_sensitivity_is_its_derivative(v: float) -> None:
     """With no damping in the middle of a step (a series there), and with some."""
-    w, c = np.array([0.4, -0.2, 0.1]), np.array([0.0, 0.7])
+    w, (joint, _held) = np.array([0.4, -0.2, 0.1]), joint_struct(np.array([0.0, 0.7]), 0.01, 4)
 
     def end(q: float, v: float, more: float) -> Array:
         out = np.empty((4, 2))
-        lib.stopset_corner(q, v, 3, view(w + more), 2, view(c), 0.01, 4, view(out))
+        lib.stopset_corner(joint, q, v, 3, view(w + more), view(out))
         return out[-1]
 
     S, q, at = np.zeros((2, 3)), ffi.new("double *", 0.2), ffi.new("double *", v)
-    lib.stopset_corner_sensitivity(q, at, 3, view(w), 2, view(c), 0.01, 4, view(S))
+    lib.stopset_corner_sensitivity(joint, q, at, 3, view(w), view(S))
     d = 1e-5
     up, down = ([end(0.2 + s * e[0], v + s * e[1], s * e[2]) for e in np.eye(3)] for s in (d, -d))
     by_difference = (np.transpose(up) - np.transpose(down)) / (2 * d)
@@ -190,7 +190,8 @@ def test_responses_to_what_is_not_a_number_are_none() -> None:
     J_x, J_u = np.zeros((H + 1, n, 2 * n)), np.zeros((H + 1, n, n))
     J_u[1:3, 0, 0] = np.nan
     E1, plus, minus, work = np.empty((H + 1, 4, 4)), np.empty((H + 1, 4, 2)), np.empty((H + 1, 4, 2)), np.empty(3 * H * 8)
-    assert lib.stopset_along(n, H, view(J_x), view(J_u), 0.01, view(E1), view(plus), view(minus), view(work)) == lib.STOPSET_OK
+    found = ffi.new("StopsetResponses *", (H + 1, 4, 4, 2, view(E1), view(plus), view(minus)))
+    assert lib.stopset_along(n, H, view(J_x), view(J_u), 0.01, found, view(work)) == lib.STOPSET_OK
     assert np.isnan(plus[-1, 0, 0]) and np.isnan(minus[-1, 2, 0]) and np.isfinite(plus[:, 1, 1]).all()
 
 
@@ -210,7 +211,8 @@ def test_an_envelope_along_directions_is_that_of_what_they_see() -> None:
         np.empty(9 * N),
     )
     env = ffi.new("StopsetEnvelope *", (ages, 2 * k, 0, view(hi), view(lo), integers(at[0]), integers(at[1])))
-    lib.stopset_widen_coupled(env, n, view(Ad), k, view(across), N, view(residual), N, view(work))
+    step = ffi.new("StopsetLooked *", (n, k, view(Ad), view(across)))
+    lib.stopset_widen_coupled(env, step, N, view(residual), N, view(work))
     look = np.kron(np.eye(2), across)
     for h in range(1, ages):
         seen = []
@@ -248,14 +250,12 @@ def test_a_model_without_polynomials_is_its_damping() -> None:
         np.empty(lib.stopset_ahead_room(struct, 0)),
     )
     lo, hi = np.empty(4), np.empty(4)
-    assert lib.stopset_ahead(struct, sets, 0, view(path), ffi.NULL, 0.01, view(room), view(lo), view(hi)) == 0
+    nominal = ffi.new("StopsetNominal *", (0, view(path), ffi.NULL, 0.01))
+    assert lib.stopset_ahead(struct, sets, nominal, view(room), view(lo), view(hi)) == 0
     assert lo == pytest.approx(path - 1.1e-3, abs=1e-12) and hi == pytest.approx(path + 1.1e-3, abs=1e-12)
     struct.n = lib.STOPSET_JOINTS + 1
     try:
-        assert (
-            lib.stopset_ahead(struct, sets, 0, view(path), ffi.NULL, 0.01, ffi.NULL, view(lo), view(hi))
-            == lib.STOPSET_TOO_MANY_JOINTS
-        )
+        assert lib.stopset_ahead(struct, sets, nominal, ffi.NULL, view(lo), view(hi)) == lib.STOPSET_TOO_MANY_JOINTS
     finally:
         struct.n = 2
 
@@ -287,7 +287,8 @@ def test_polynomials_and_their_slopes_are_sums_of_monomials() -> None:
 def test_how_far_readings_lie_beyond_a_corner_is_found_at_every_age(sign: float) -> None:
     """Against one solution at a time; what runs away the wrong way encloses nothing, the right way it is let go."""
     rng, N, horizon, limit = np.random.default_rng(12), 30, 12, (0.02, 0.05)
-    x, w, c, starts = 0.05 * rng.normal(size=(N, 2)), rng.normal(size=N), np.array([0.4, 0.1]), np.array([0, 5, 20, 29])
+    x, w, starts = 0.05 * rng.normal(size=(N, 2)), rng.normal(size=N), np.array([0, 5, 20, 29])
+    joint, _held = joint_struct(np.array([0.4, 0.1]), 0.01, 2)
 
     def excess(runaway: float, w: Array) -> tuple[Array, Array, Array]:
         best, at, outside = (
@@ -295,9 +296,10 @@ def test_how_far_readings_lie_beyond_a_corner_is_found_at_every_age(sign: float)
             np.zeros((horizon + 1, 2, 2), np.int64),
             np.zeros(len(starts), bool),
         )
-        corner = ffi.new("StopsetCorner *", (2, view(c), 0.01, 0.001, -0.002, sign, runaway, 2, horizon, limit))
+        corner = ffi.new("StopsetCorner *", (joint[0], 0.001, -0.002, sign, runaway, horizon, limit))
+        trial = ffi.new("StopsetTrial *", (3, N, view(x), view(w), len(starts), integers(starts)))
         lib.stopset_corner_excess(
-            corner, N, view(x), view(w), len(starts), integers(starts), 3, view(best), integers(at.reshape(-1)), flags(outside)
+            corner, trial, ffi.new("StopsetExcess *", (view(best), integers(at.reshape(-1)), flags(outside)))
         )
         return best, at, outside
 
@@ -305,9 +307,7 @@ def test_how_far_readings_lie_beyond_a_corner_is_found_at_every_age(sign: float)
     want, bad = np.full((horizon + 1, 2), -np.inf), np.zeros(len(starts), bool)
     for k, start in enumerate(starts):
         steps, path = min(horizon, N - 1 - start), np.empty((horizon + 1, 2))
-        lib.stopset_corner(
-            x[start, 0] + 0.001, x[start, 1] - 0.002, steps, view(w[start:].copy()), 2, view(c), 0.01, 2, view(path)
-        )
+        lib.stopset_corner(joint, x[start, 0] + 0.001, x[start, 1] - 0.002, steps, view(w[start:].copy()), view(path))
         e = sign * (x[start : start + steps + 1] - path[: steps + 1])[1:]
         want[1 : steps + 1] = np.maximum(want[1 : steps + 1], e)
         bad[k] = bool(np.any(e > np.array(limit)))
@@ -325,7 +325,8 @@ def test_responses_along_a_motion_are_signed_parts_of_the_whole() -> None:
     J_x[:, :, :n], J_x[:, :, n:] = -20.0 * np.eye(n), -3.0 * np.eye(n) + 0.2 * rng.normal(size=(H + 1, n, n))
     J_u[:] = np.sin(0.3 * np.arange(H + 1))[:, None, None] * np.eye(n) + 0.1
     E1, plus, minus = np.empty((H + 1, 4, 4)), np.empty((H + 1, 4, n)), np.empty((H + 1, 4, n))
-    assert lib.stopset_along(n, H, view(J_x), view(J_u), dt, view(E1), view(plus), view(minus), view(np.empty(3 * H * 8))) == 0
+    found = ffi.new("StopsetResponses *", (H + 1, 4, 4, n, view(E1), view(plus), view(minus)))
+    assert lib.stopset_along(n, H, view(J_x), view(J_u), dt, found, view(np.empty(3 * H * 8))) == 0
     E, R = np.eye(4), np.zeros((4, n))
     for k in range(H):
         A, B = np.zeros((6, 6)), np.zeros((4, n))
@@ -345,7 +346,8 @@ def test_a_bent_joint_is_that_pose() -> None:
     arm = robot_from_text(serial("revolute", "revolute"))
     x, bend = np.random.default_rng(5).normal(size=(3, 4, 2)), np.random.default_rng(6).normal(size=(3, 4))
     tau, struct = np.empty((4, 2)), arm_struct(arm.chain, arm.pi)
-    lib.stopset_bent_torques(struct, 4, *(view(given(r)) for r in x), 1, *(view(given(b)) for b in bend), 0, view(tau))
+    bent = ffi.new("StopsetBend *", (1, 0, *(view(b) for b in bend)))
+    lib.stopset_bent_torques(struct, 4, *(view(given(r)) for r in x), bent, view(tau))
     x[:, :, 1] += bend
     assert tau == pytest.approx(torques(arm.chain, arm.pi, *x), rel=1e-13)
 
@@ -363,11 +365,12 @@ def test_products_of_series_end_at_their_order_and_at_the_room_there_is() -> Non
     shift, powers, ones = 8, np.arange(3), np.ones(3)
     key, slot = integers(np.array([(k << shift) + k for k in powers])), np.empty(16, np.int64)
 
+    terms = ffi.new("StopsetTaylor *", (3, key, view(ones)))
+
     def product(order: int, room: int, size: int = 16) -> tuple[int, Array]:
         keys, values = np.empty(16, np.int64), np.empty(16)
-        made = lib.stopset_taylor_multiply(
-            3, key, view(ones), 3, key, view(ones), order, shift, size, integers(slot), room, integers(keys), view(values)
-        )
+        table = ffi.new("StopsetProduct *", (room, size, integers(slot), integers(keys), view(values)))
+        made = lib.stopset_taylor_multiply(terms, terms, order, shift, table)
         return made, values[: max(made, 0)][np.argsort(keys[: max(made, 0)])]
 
     for order, want in ((0, [1]), (1, [1, 2]), (2, [1, 2, 3]), (3, [1, 2, 3, 2]), (63, [1, 2, 3, 2, 1])):
@@ -395,9 +398,9 @@ def test_a_joint_that_is_none_is_not_bent(joint: int) -> None:
     arm = robot_from_text(serial("revolute", "revolute"))
     x, tau = np.random.default_rng(5).normal(size=(3, 4, 2)), np.empty((4, 2))
     more = np.full(4, 0.3)
-    bent = (view(more) for _ in range(3))
+    bent = ffi.new("StopsetBend *", (joint, 0, view(more), view(more), view(more)))
     struct = arm_struct(arm.chain, arm.pi)
-    assert lib.stopset_bent_torques(struct, 4, *(view(given(r)) for r in x), joint, *bent, 0, view(tau)) == lib.STOPSET_OK
+    assert lib.stopset_bent_torques(struct, 4, *(view(given(r)) for r in x), bent, view(tau)) == lib.STOPSET_OK
     assert np.array_equal(tau, torques(arm.chain, arm.pi, *x))
 
 

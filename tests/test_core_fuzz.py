@@ -106,7 +106,8 @@ def test_predictions(seed: int) -> None:
     ))  # fmt: skip
     lib.stopset_centre(struct)
     x, before, u, du = drawn(rng, m), drawn(rng, m), drawn(rng, n), np.abs(drawn(rng, n))
-    live = lib.stopset_advance(struct, view(x), view(before), view(u), view(du), int(rng.integers(2)), int(rng.integers(2)), seen)
+    reading = ffi.new("StopsetReading *", (view(x), view(before), view(u), view(du)))
+    live = lib.stopset_advance(struct, reading, int(rng.integers(2)), int(rng.integers(2)), seen)
     assert (
         live == np.count_nonzero(age >= 0) and seen[1] == np.count_nonzero(row >= 0) and np.all(row >= -1) and np.all(row < rows)
     )

@@ -112,6 +112,29 @@ def test_functions_in_c_fit_on_a_screen() -> None:
     assert not long_functions(f"int f(int x,\n      int y) {{\n{body * 67}}}\nint g(int z) {{\n}}\n")
 
 
+MOST = 7  # arguments of a function
+
+
+def crowded(text: str) -> dict[str, int]:
+    """Functions that take more than `MOST` arguments, and how many; those of FMI's own face take what the standard says."""
+    head = r"^[A-Za-z_][\w \*]*?[ \*](\w+)\(((?:[^;{}()]|\([^()]*\))*)\)\s*[{;]"
+    found = {
+        name: re.sub(r"\([^()]*\)", "", given).count(",") + 1 for name, given in re.findall(head, code_of(text), re.MULTILINE)
+    }
+    return {name: count for name, count in found.items() if count > MOST and not re.match(r"fmi[23][A-Z]", name)}
+
+
+def test_functions_in_c_take_few_arguments() -> None:
+    """What travels together is one struct, which says what it is in the field."""
+    for path in (*sorted(build.SOURCES.rglob("*.[ch]")), *sorted(FMU.glob("*.[ch]"))):
+        assert not crowded(path.read_text(encoding="utf-8")), path.name
+    many = ", ".join(f"const double *x{k}" for k in range(MOST))
+    assert crowded(f"static int f({many},\n             int (*g)[3]) {{\n}}\nint *g({many}) {{ return 0; }}\n") == {"f": MOST + 1}
+    assert not crowded("void f(int a, int b, void (*call)(int, int, int, int, int, int, int), int c);")
+    assert crowded(f"void stopset_f({many}, int n);") == {"stopset_f": MOST + 1}
+    assert not crowded(f"int fmi3DoStep({many}, int n) {{\n    return a(1, 2, 3, 4, 5, 6, 7, 8);\n}}\n")
+
+
 def writable(library: Path) -> list[str]:
     """Objects of a library that lie where they can be written."""
     done = subprocess.run(["nm", "-f", "sysv", library], capture_output=True, text=True, check=True)

@@ -295,7 +295,9 @@ def test_rows_passed_over_say_nothing_else(seed: int) -> None:
         x, none = size * 0.05 * rng.normal(size=m), np.zeros(n)
         plain = e.copy(), w.copy(), age.copy()
         want_room, want_row = plainly_compared(*plain, A, x, np.zeros(m), lo, hi)
-        live = lib.stopset_advance(struct, view(x), view(np.zeros(m)), view(none), view(none), 0, 1, seen)
+        before = np.zeros(m)
+        reading = ffi.new("StopsetReading *", (view(x), view(before), view(none), view(none)))
+        live = lib.stopset_advance(struct, reading, 0, 1, seen)
         assert live == np.count_nonzero(plain[2] >= 0)
         for got, want in zip((e, w, age), plain, strict=True):
             assert np.array_equal(got[plain[2] >= 0], want[plain[2] >= 0], equal_nan=True)
@@ -310,17 +312,18 @@ def test_an_arm_of_no_or_too_many_joints_is_refused() -> None:
     model = known_model()
     model = replace(model, effects=(Fitted("spring", model.joints[2], {"k": 30.0, "c": 1.0}, {}),))
     x, none = view(np.zeros(64)), ffi.NULL
+    sample = ffi.new("StopsetSamples *", (x, x, x, none))
     inputs = Inputs.of(model, Quantum.none(model.n), (0.0, 0.0))
     for n in (0, 33):
         inputs.struct.map.arm.n = n
-        assert lib.stopset_sample_input(inputs.struct, x, x, x, none, x, x, x) == lib.STOPSET_TOO_MANY_JOINTS
+        assert lib.stopset_sample_input(inputs.struct, sample, x, x, x) == lib.STOPSET_TOO_MANY_JOINTS
         samples = ffi.new("StopsetSamples *")
         assert lib.stopset_inputs(inputs.struct.map, 1, samples, x) == lib.STOPSET_TOO_MANY_JOINTS
         predictions = ffi.new("StopsetPredictions *", {"states": 2 * n})
-        assert lib.stopset_advance(predictions, x, x, x, x, 0, 0, ffi.new("int64_t[2]")) == -1
+        assert lib.stopset_advance(predictions, ffi.new("StopsetReading *", (x, x, x, x)), 0, 0, ffi.new("int64_t[2]")) == -1
     inputs.struct.map.arm.n = model.n
     inputs.struct.states = 65
-    assert lib.stopset_sample_input(inputs.struct, x, x, x, none, x, x, x) == lib.STOPSET_TOO_MANY_JOINTS
+    assert lib.stopset_sample_input(inputs.struct, sample, x, x, x) == lib.STOPSET_TOO_MANY_JOINTS
 
 
 def watched(effort: str = "compensated_torque", windows: str = "sliding", hot: bool = False):  # type: ignore[no-untyped-def]

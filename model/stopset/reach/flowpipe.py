@@ -74,9 +74,14 @@ class Responses:
             raise ValueError(f"sets of {X0_lo.size} states and {U_lo.size} torques; expected {states} and {self.plus.shape[2]}")
         lo, hi = np.empty((ages, rows)), np.empty((ages, rows))
         sets, _held = _sets(Box(X0_lo, X0_hi), Box(U_lo, U_hi), Box(X0_lo, X0_hi))
-        parts = [view(given(x)) for x in (self.E1, self.plus, self.minus)]
-        lib.stopset_hulls(ages, rows, states, self.plus.shape[2], *parts, sets, view(lo), view(hi))
+        struct, _arrays = self.struct()
+        lib.stopset_hulls(struct, sets, view(lo), view(hi))
         return lo, hi
+
+    def struct(self) -> tuple[Any, list[Array]]:
+        """``StopsetResponses``, and what must live as long."""
+        held = [given(x) for x in (self.E1, self.plus, self.minus)]
+        return ffi.new("StopsetResponses *", (*self.E1.shape, self.plus.shape[2], *(view(x) for x in held))), held
 
     def tube(self, X0: Box, U: Box, V: Box) -> tuple[Array, Array]:
         """The same for readings, whose own noise ``V`` (2n,) comes on top."""
@@ -103,8 +108,10 @@ def responses(
     step, work = np.empty(lib.stopset_step_room(linear)), np.empty(lib.stopset_response_room(linear))
     E1 = np.empty((steps + 1, looked, 2 * n))
     plus, minus = np.empty((steps + 1, looked, inputs)), np.empty((steps + 1, looked, inputs))
-    check(lib.stopset_responses(linear, dt, steps, *(view(x) for x in (step, work, E1, plus, minus))))
-    return Responses(dt, E1, plus, minus)
+    out = Responses(dt, E1, plus, minus)
+    struct, _held = out.struct()
+    check(lib.stopset_responses(linear, dt, view(step), view(work), struct))
+    return out
 
 
 def _sets(X0: Box, U: Box, V: Box, *, position_only: bool = False) -> tuple[Any, list[Array]]:
@@ -138,13 +145,11 @@ def deviation_tube(abstraction: Abstraction, sets: UncertaintySets, across: Arra
     rows = None if across is None else along_joints(across)
     torques, U = torque_set(sets)
     R = responses(abstraction, sets.dt, steps, torques, rows)
-    ages, looked, states = R.E1.shape
-    lo, hi = np.empty((ages, looked)), np.empty((ages, looked))
+    lo, hi = np.empty(R.E1.shape[:2]), np.empty(R.E1.shape[:2])
+    responded, _arrays = R.struct()
     struct, _held = _sets(sets.X0, U, sets.V, position_only=sets.conform == "position")
     look = ffi.NULL if rows is None else view(given(rows))
-    lib.stopset_tubes(
-        ages, looked, states, U.dim, look, *(view(x) for x in (R.E1, R.plus, R.minus)), struct, view(lo), view(hi)
-    )  # fmt: skip
+    lib.stopset_tubes(responded, look, struct, view(lo), view(hi))
     return DeviationTube(np.asarray(sets.dt * np.arange(steps + 1)), lo, hi)
 
 

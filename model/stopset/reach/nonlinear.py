@@ -37,11 +37,18 @@ _DYNAMICS: WeakKeyDictionary[Abstraction, tuple[Any, Any]] = WeakKeyDictionary()
 _TERMS: int = lib.STOPSET_TERMS  # of the exponential of one step's matrix, whose norm is below 1
 
 
+def joint_struct(c: Array, h: float, parts: int) -> tuple[Any, Array]:
+    """``StopsetJoint``, and what must live as long."""
+    held = given(c)
+    return ffi.new("StopsetJoint *", (len(held), view(held), h, parts)), held
+
+
 def corner(q: float, v: float, w: Array, c: Array, h: float, parts: int) -> Array:
     """Trajectory (N + 1, 2) of one joint over (q, dq): ``q' = v, v' = w - sum c_k v^(k+1)`` under ``w`` (N,), each held
     over ``h`` [s] in ``parts`` parts (classical Runge-Kutta)."""
     out = np.empty((len(w) + 1, 2))
-    lib.stopset_corner(q, v, len(w), view(given(w)), len(c), view(given(c)), h, parts, view(out))
+    joint, _held = joint_struct(c, h, parts)
+    lib.stopset_corner(joint, q, v, len(w), view(given(w)), view(out))
     return out
 
 
@@ -92,7 +99,9 @@ def nominal(abstraction: Abstraction, x0: Array, u: Array, dt: float) -> Array:
     if x0.shape != (W, 2 * n) or n != abstraction.n:
         raise ValueError(f"starts {x0.shape} and inputs {u.shape} of {abstraction.n} joints")
     out, (struct, work) = np.empty((W, N + 1, 2 * n)), dynamics(abstraction)
-    lib.stopset_nominal(struct, W, N, view(given(x0)), view(given(u)), dt, view(work), view(out))
+    held = given(x0), given(u)
+    starts = ffi.new("StopsetStarts *", (W, N, *(view(x) for x in held), dt))
+    lib.stopset_nominal(struct, starts, view(work), view(out))
     return out
 
 
@@ -108,9 +117,8 @@ def along(abstraction: Abstraction, x: Array, u: Array, dt: float) -> Responses:
     lib.stopset_linearised(struct, H + 1, view(given(x)), view(np.vstack([u, u[-1:]])), view(work), view(J_x), view(J_u))
     E1, plus, minus = np.empty((H + 1, m, m)), np.empty((H + 1, m, n)), np.empty((H + 1, m, n))
     work = np.empty((3, H, m, n))
-    check(
-        lib.stopset_along(n, H, view(given(J_x)), view(given(J_u)), dt, view(E1), view(plus), view(minus), view(work))
-    )  # fmt: skip
+    found = ffi.new("StopsetResponses *", (H + 1, m, m, n, view(E1), view(plus), view(minus)))
+    check(lib.stopset_along(n, H, view(given(J_x)), view(given(J_u)), dt, found, view(work)))
     return Responses(dt, E1, plus, minus)
 
 

@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.core.library import integers, lib, view
+from stopset.core.library import ffi, integers, lib, view
 from stopset.errors import StopsetError
 from stopset.types import Array
 
@@ -42,6 +42,11 @@ def monomials(variables: int, order: int) -> int:
     return math.comb(variables + order, order)
 
 
+def _terms(key: MonomialKeys, value: Array) -> Any:
+    """``StopsetTaylor``, which lives no longer than the arrays."""
+    return ffi.new("StopsetTaylor *", (len(key), integers(key), view(value)))
+
+
 def _multiply(
     ka: MonomialKeys, a: Array, kb: MonomialKeys, b: Array, order: int, shift: int, room: int
 ) -> tuple[MonomialKeys, Array]:
@@ -50,10 +55,8 @@ def _multiply(
     while size < 2 * room:
         size *= 2
     slot, key, value = np.empty(size, np.int64), np.empty(room, np.int64), np.empty(room)
-    used = lib.stopset_taylor_multiply(
-        len(ka), integers(ka), view(a), len(kb), integers(kb), view(b), order, shift, size, integers(slot), room, integers(key),
-        view(value),
-    )  # fmt: skip
+    product = ffi.new("StopsetProduct *", (room, size, integers(slot), integers(key), view(value)))
+    used = lib.stopset_taylor_multiply(_terms(ka, a), _terms(kb, b), order, shift, product)
     if used < 0:
         raise TaylorError(f"a product of {len(ka)} and {len(kb)} terms has more than the {room} that fit; lower the order")
     return key[:used], value[:used]
@@ -62,7 +65,7 @@ def _multiply(
 def _add(ka: MonomialKeys, a: Array, kb: MonomialKeys, b: Array, factor: float) -> tuple[MonomialKeys, Array]:
     """Sorted terms of ``a + factor * b``."""
     key, value = np.empty(len(ka) + len(kb), np.int64), np.empty(len(ka) + len(kb))
-    m = lib.stopset_taylor_add(len(ka), integers(ka), view(a), len(kb), integers(kb), view(b), factor, integers(key), view(value))
+    m = lib.stopset_taylor_add(_terms(ka, a), _terms(kb, b), factor, integers(key), view(value))
     return key[:m], value[:m]
 
 

@@ -97,7 +97,8 @@ def bent_torques(chain: Chain, pi: Array, states: tuple[Array, Array, Array], be
         raise ValueError(f"bend {[v.shape for v in by]} of joints from {lowest} for rows {q.shape}, into {out.shape}")
     arm = arm_struct(chain, pi)
     held = [given(v) for v in by]
-    check(lib.stopset_bent_torques(arm, N, view(q), view(dq), view(ddq), joint, *map(view, held), lowest, view(out)))
+    bent = ffi.new("StopsetBend *", (joint, lowest, *map(view, held)))
+    check(lib.stopset_bent_torques(arm, N, view(q), view(dq), view(ddq), bent, view(out)))
 
 
 def gravity_torques(chain: Chain, pi: Array, q: Array) -> Array:

@@ -93,9 +93,9 @@ def run(
     )  # fmt: skip
     f, q, dq, kp, kd, qn, dqn, walk = (view(x) for x in planned)
     played = ffi.new(
-        "StopsetSimScript *", (script.period, f, q, dq, kp, kd, script.brake_at, script.cut_at, qn, dqn, walk, script.resolution)
+        "StopsetSimScript *",
+        (K, steps_per_tick, script.period, f, q, dq, kp, kd, script.brake_at, script.cut_at, qn, dqn, walk, script.resolution),
     )  # fmt: skip
-    logs = np.empty((6, K, n))
-    heat = given(heating)
-    check(lib.stopset_sim_run(arm, played, K, steps_per_tick, view(heat), ambient, cooling, *(view(x) for x in logs)))
+    logs, heats = np.empty((6, K, n)), given(heating)
+    check(lib.stopset_sim_run(arm, played, ffi.new("StopsetSimHeat *", (view(heats), ambient, cooling)), view(logs)))
     return tuple(logs)  # type: ignore[return-value]

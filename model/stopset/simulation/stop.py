@@ -46,5 +46,6 @@ def simulate_stop(arm: StoppingArm, q0: Array, v0: Array, dt: float, steps: int,
     body = arm_struct(arm.chain, arm.pi)
     plant = ffi.new("StopsetSimStop *", (body[0], *(view(x) for x in rows[:6])))
     q, v, u = np.empty((steps + 1, n)), np.empty((steps + 1, n)), given(disturbance)
-    check(lib.stopset_sim_stop(plant, view(rows[6]), view(rows[7]), dt, steps, len(u), view(u), view(q), view(v)))
+    time = ffi.new("StopsetSimTime *", (dt, steps, len(u), view(u)))
+    check(lib.stopset_sim_stop(plant, view(rows[6]), view(rows[7]), time, view(q), view(v)))
     return q, v

@@ -57,9 +57,9 @@ class Inputs:
         if any(x.shape != (n,) for x in (q, dq, tau, tau if temp is None else temp)):
             raise ValueError(f"a sample of {len(q)} positions, {len(dq)} speeds, {len(tau)} torques for {n} joints")
         u, du = np.empty(n), np.empty(n)
-        temps = ffi.NULL if temp is None else view(given(temp))
-        here = [view(given(x)) for x in (q, dq, tau)]
-        check(lib.stopset_sample_input(self.struct, *here, temps, view(self.carried.ends), view(u), view(du)))
+        held = {"q": given(q), "dq": given(dq), "tau": given(tau)} | ({} if temp is None else {"temp": given(temp)})
+        here = ffi.new("StopsetSamples *", {name: view(x) for name, x in held.items()})
+        check(lib.stopset_sample_input(self.struct, here, view(self.carried.ends), view(u), view(du)))
         return u, du
 
 

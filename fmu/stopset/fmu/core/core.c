@@ -234,7 +234,8 @@ static void tube(StopsetWork *w, double age, double lo[NX], double hi[NX]) {
     memcpy(minus, w->minus, sizeof minus);
     stopset_linear_step(&w->linear, rest, step);
     stopset_respond(&w->linear, rest, step, E, plus, minus, w->response);
-    stopset_tubes(1, NX, NX, N_TORQUES, 0, E, plus, minus, &w->sets, lo, hi);
+    const StopsetResponses grown = {1, NX, NX, N_TORQUES, E, plus, minus};
+    stopset_tubes(&grown, 0, &w->sets, lo, hi);
 }
 #endif
 

@@ -50,7 +50,7 @@ static void effects(StopsetWork *w, const StopsetSamples *at, const int32_t mode
     double out[ROWS];
     for (int k = 0; k < N_LAWS; k++) {
         const StopsetLaw *law = w->law + k;
-        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, w->signals);
+        stopset_law_signals(&w->map, law, &(StopsetLook){1, 1, mode[law->joint]}, at, &w->rigid, w->signals);
         stopset_play(&law->torque, (const double(*)[ROWS])w->signals, 1, out);
         tau[law->joint] += out[0];
     }
@@ -61,7 +61,7 @@ static void rates(StopsetWork *w, const StopsetSamples *at, const int32_t mode[N
     double out[ROWS];
     for (int k = 0; k < N_MEMORY; k++) {
         const StopsetLaw *law = w->law + w->carried[k].law;
-        stopset_law_signals(&w->map, law, law->joint, 1, at, &w->rigid, mode[law->joint], 1, w->signals);
+        stopset_law_signals(&w->map, law, &(StopsetLook){1, 1, mode[law->joint]}, at, &w->rigid, w->signals);
         stopset_play(&w->carried[k].rate, (const double(*)[ROWS])w->signals, 1, out);
         rate[k] = out[0];
     }
@@ -202,11 +202,18 @@ static void derivative(const StopsetState *s, StopsetWork *w, double t, const do
     memcpy(dy, dq, NJ * sizeof *dy);
 }
 
-/* One step of length h from the derivative `first` at y; returns the error over the tolerance, `last`: the derivative at the end. */
-static double runge_kutta(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double h,
-                          const double first[NY], double out[NY], double last[NY]) {
+/* A step's begin: state, its derivative, friction directions. */
+typedef struct {
+    double t, y[NY], first[NY];
+    int32_t mode[NJ];
+} Begin;
+
+/* One step of length h; returns the error over the tolerance, `last`: the derivative at the end. */
+static double runge_kutta(const StopsetState *s, StopsetWork *w, const Begin *begin, double h, double out[NY], double last[NY]) {
+    const double t = begin->t, *y = begin->y;
+    const int32_t *mode = begin->mode;
     double k[STAGES][NY], fine = 0.0, coarse = 0.0;
-    memcpy(k[0], first, sizeof k[0]);
+    memcpy(k[0], begin->first, sizeof k[0]);
     for (int stage = 1; stage <= STAGES; stage++) {
         const double *share = stage < STAGES ? RK_A[stage] : RK_B;
         for (int i = 0; i < NY; i++) {
@@ -339,12 +346,6 @@ static double still_to_go(StopsetState *s, StopsetWork *w, double t, double left
     return end < t + left ? fmax(end - t, 0.0) : left;
 }
 
-/* A step's begin: state, its derivative, friction directions. */
-typedef struct {
-    double t, y[NY], first[NY];
-    int32_t mode[NJ];
-} Begin;
-
 /* So long after it, with the friction directions of the begin: state, its derivative, every joint's margin. */
 typedef struct {
     double after, y[NY], rate[NY], z[NJ];
@@ -392,7 +393,7 @@ static void locate(const StopsetState *s, StopsetWork *w, const Begin *b, Probe 
         const double width = late->after - early.after, share = k < 24 ? crossing(b, &early, late, weight) : 0.5;
         /* a little from both ends, and the farther the longer one of them stays: so both close in */
         at.after = early.after + fmin(fmax(share * width, fmin(away, 0.5 * width)), fmax(width - away, 0.5 * width));
-        runge_kutta(s, w, b->t, b->y, b->mode, at.after, b->first, at.y, at.rate);
+        runge_kutta(s, w, b, at.after, at.y, at.rate);
         margins(s, w, b->t + at.after, at.y, b->mode, at.z);
         const int is = event(s, w, b->t + at.after, at.y, b->mode);
         weight[is] = 1.0;
@@ -404,19 +405,19 @@ static void locate(const StopsetState *s, StopsetWork *w, const Begin *b, Probe 
 }
 
 const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double *done) {
-    double y[NY], next[NY], first[NY], last[NY];
-    int32_t mode[NJ];
+    Begin at = {.t = s->r[VR_TIME]};
+    double next[NY], last[NY];
     int events = 0;
-    double t = s->r[VR_TIME], left = h, step = s->h_try > 0.0 ? s->h_try : h;
-    take(s, y);
-    for (int i = 0; i < NJ; i++) mode[i] = 1;
-    if (directional(s)) settle(s, w, t, y, mode);
-    const int moved = moving(mode);
-    derivative(s, w, t, y, mode, first);
+    double left = h, step = s->h_try > 0.0 ? s->h_try : h;
+    take(s, at.y);
+    for (int i = 0; i < NJ; i++) at.mode[i] = 1;
+    if (directional(s)) settle(s, w, at.t, at.y, at.mode);
+    const int moved = moving(at.mode);
+    derivative(s, w, at.t, at.y, at.mode, at.first);
     for (int count = 0; left > 0.0; count++) {
         if (count == MOST_STEPS) return "the communication step takes too many steps of the integrator; give a shorter one or smaller inputs";
         double now = step >= left ? left : 2.0 * step > left ? 0.5 * left : step; /* no short one at the end */
-        double error = runge_kutta(s, w, t, y, mode, now, first, next, last);
+        double error = runge_kutta(s, w, &at, now, next, last);
         if (!stopset_finite(error)) return "the motion is no longer finite; check the torque inputs and parameters";
         double factor = error > 0.0 ? 0.9 * stopset_exp(-0.125 * stopset_log(error)) : 4.0;
         if (error > 1.0 && now > 1e-12) {
@@ -424,36 +425,32 @@ const char *stopset_integrate(StopsetState *s, StopsetWork *w, double h, double 
             continue;
         }
         if (now == step || factor < 1.0) step = now * fmin(fmax(factor, 0.2), 4.0);
-        if (directional(s) && events < EVENTS && event(s, w, t + now, next, mode)) {
-            Begin begin = {.t = t};
+        if (directional(s) && events < EVENTS && event(s, w, at.t + now, next, at.mode)) {
             Probe late = {.after = now};
-            memcpy(begin.y, y, sizeof y);
-            memcpy(begin.first, first, sizeof first);
-            memcpy(begin.mode, mode, sizeof mode);
             memcpy(late.y, next, sizeof next);
             memcpy(late.rate, last, sizeof last);
-            locate(s, w, &begin, &late);
+            locate(s, w, &at, &late);
             now = late.after;
             memcpy(next, late.y, sizeof next);
             for (int i = 0; i < NJ; i++)
-                if (mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
-            settle(s, w, t + now, next, mode);
-            derivative(s, w, t + now, next, mode, last);
+                if (at.mode[i] * next[NJ + i] < 0.0) next[NJ + i] = 0.0;
+            settle(s, w, at.t + now, next, at.mode);
+            derivative(s, w, at.t + now, next, at.mode, last);
             events++;
         }
-        memcpy(y, next, sizeof y);
-        memcpy(first, last, sizeof first);
-        t += now;
+        memcpy(at.y, next, sizeof at.y);
+        memcpy(at.first, last, sizeof at.first);
+        at.t += now;
         left = left - now > 1e-14 * h ? left - now : 0.0;
         if (left > 0.0) {
-            const double to_go = still_to_go(s, w, t, left, y, mode, moved);
+            const double to_go = still_to_go(s, w, at.t, left, at.y, at.mode, moved);
             h -= left - to_go;
             left = to_go;
         }
     }
     *done = h - left;
     s->h_try = step;
-    put(s, y, mode);
+    put(s, at.y, at.mode);
     return 0;
 }
 

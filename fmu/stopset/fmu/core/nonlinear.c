@@ -49,7 +49,8 @@ void stopset_own_step(StopsetState *s, StopsetWork *w, const double u[NJ], doubl
     memcpy(x, &s->r[VR_Q], NJ * sizeof *x);
     memcpy(x + NJ, &s->r[VR_DQ], NJ * sizeof *x);
     for (int64_t k = 0; k < pieces; k++) {
-        stopset_nominal(&w->dynamics, 1, 1, x, u, step / (double)pieces, w->room, path[0]);
+        const StopsetStarts start = {1, 1, x, u, step / (double)pieces};
+        stopset_nominal(&w->dynamics, &start, w->room, path[0]);
         memcpy(x, path[1], sizeof x);
     }
     memcpy(&s->r[VR_Q], x, NJ * sizeof *x);
@@ -77,7 +78,8 @@ void stopset_own_bounds(const StopsetState *s, StopsetWork *w, double lo[NX], do
     memcpy(hi, s->corner[1], sizeof s->corner[1]);
     stopset_read(NX, &w->sets, ROUND, lo, hi);
 #else
-    stopset_ahead(&w->dynamics, &w->sets, s->along, s->path[0], s->torque[0], stopset_model.dt, w->room, lo, hi);
+    const StopsetNominal nominal = {s->along, s->path[0], s->torque[0], stopset_model.dt};
+    stopset_ahead(&w->dynamics, &w->sets, &nominal, w->room, lo, hi);
 #endif
 }
 

@@ -156,7 +156,8 @@ static void tube(const StopsetState *s, StopsetWork *w) {
     const double rounding = AGES * 3.0 * NJ * 0x1p-53 * 32.0;
     for (int k = 0; k < AGES; k++) {
         stopset_grow(w, k);
-        stopset_tubes(1, NX, NX, N_TORQUES, 0, w->E, w->plus, w->minus, &w->sets, w->lo[k], w->hi[k]);
+        const StopsetResponses grown = {1, NX, NX, N_TORQUES, w->E, w->plus, w->minus};
+        stopset_tubes(&grown, 0, &w->sets, w->lo[k], w->hi[k]);
         for (int i = 0; i < NX; i++) {
             w->watch_lo[k][i] = w->lo[k][i] - rounding;
             w->watch_hi[k][i] = w->hi[k][i] + rounding;

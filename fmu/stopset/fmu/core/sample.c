@@ -45,7 +45,8 @@ int stopset_take_sample(StopsetState *s, StopsetWork *w, double x[NX], double u[
         stopset_forget(s);
         return 0;
     }
-    stopset_sample_input(&w->monitor, x, x + NJ, &s->r[VR_TAU], &s->r[VR_TEMP], s->past.ends[0], u, du);
+    const StopsetSamples here = {.q = x, .dq = x + NJ, .tau = &s->r[VR_TAU], .temp = &s->r[VR_TEMP]};
+    stopset_sample_input(&w->monitor, &here, s->past.ends[0], u, du);
     *foreign = outside(s, x, u, du);
     return 1;
 }
@@ -79,7 +80,8 @@ int stopset_sample(StopsetState *s, StopsetWork *w, int32_t *joint) {
         const StopsetPredictions all = {NX, PREDICTIONS, AGES, c->e[0], c->w[0], c->age, c->foreign, w->grid, Bd, w->watch_lo[0],
                                         w->watch_hi[0], w->watch_middle[0], w->watch_reach[0], room, nearest, row};
         for (int i = 0; i < NX; i++) nearest[i] = -1; /* where to look first is not known */
-        live = stopset_advance(&all, x, c->x, c->u, m->plain ? none : c->du, foreign, !m->plain, seen);
+        const StopsetReading reading = {x, c->x, c->u, m->plain ? none : c->du};
+        live = stopset_advance(&all, &reading, foreign, !m->plain, seen);
     }
     if (live && !seen[1] && !foreign) verdict = VERDICT_CONFORMANT;
     for (int i = 0; live && seen[1] && verdict != VERDICT_VIOLATED && i < 2 * NX; i++)

@@ -86,11 +86,12 @@ static void advance(const StopsetDynamics *s, const double *x, const double *u, 
     }
 }
 
-void stopset_nominal(const StopsetDynamics *s, int64_t W, int64_t N, const double *x0, const double *u, double dt, double *work, double *out) {
+void stopset_nominal(const StopsetDynamics *s, const StopsetStarts *starts, double *work, double *out) {
     const int n = s->n, m = 2 * n;
-    for (int64_t w = 0; w < W; w++, x0 += m, out += m) {
+    const double *x0 = starts->x0, *u = starts->u;
+    for (int64_t w = 0; w < starts->W; w++, x0 += m, out += m) {
         memcpy(out, x0, (size_t)m * sizeof *out);
-        for (int64_t k = 0; k < N; k++, u += n, out += m) advance(s, out, u, dt, work, out + m);
+        for (int64_t k = 0; k < starts->N; k++, u += n, out += m) advance(s, out, u, starts->dt, work, out + m);
     }
 }
 
@@ -137,9 +138,10 @@ int64_t stopset_ahead_room(const StopsetDynamics *s, int64_t H) {
     return stopset_dynamics_room(s) + (H + 1) * (n * m + n * n + n + m * m + 2 * m * n) + 3 * H * m * n;
 }
 
-int stopset_ahead(const StopsetDynamics *s, const StopsetSets *sets, int64_t H, const double *path, const double *u, double dt, double *work,
-                  double *lo, double *hi) {
+int stopset_ahead(const StopsetDynamics *s, const StopsetSets *sets, const StopsetNominal *nominal, double *work, double *lo, double *hi) {
     const int n = s->n, m = 2 * n;
+    const int64_t H = nominal->H;
+    const double *path = nominal->path, *u = nominal->u;
     double *held = work + stopset_dynamics_room(s), *J_x = held + (H + 1) * n, *J_u = J_x + (H + 1) * n * m, *E1 = J_u + (H + 1) * n * n;
     double *plus = E1 + (H + 1) * m * m, *minus = plus + (H + 1) * m * n, *rest = minus + (H + 1) * m * n;
     if (H > 0) {
@@ -147,9 +149,11 @@ int stopset_ahead(const StopsetDynamics *s, const StopsetSets *sets, int64_t H, 
         memcpy(held + H * n, u + (H - 1) * n, (size_t)n * sizeof *held);
         stopset_linearised(s, H + 1, path, held, work, J_x, J_u);
     }
-    const int code = stopset_along(n, H, J_x, J_u, dt, E1, plus, minus, rest);
+    const StopsetResponses all = {H + 1, m, m, n, E1, plus, minus};
+    const StopsetResponses last = {1, m, m, n, E1 + H * m * m, plus + H * m * n, minus + H * m * n};
+    const int code = stopset_along(n, H, J_x, J_u, nominal->dt, &all, rest);
     if (code) return code;
-    stopset_hulls(1, m, m, n, E1 + H * m * m, plus + H * m * n, minus + H * m * n, sets, lo, hi);
+    stopset_hulls(&last, sets, lo, hi);
     for (int i = 0; i < m; i++) {
         lo[i] = path[H * m + i] + lo[i];
         hi[i] = path[H * m + i] + hi[i];
@@ -188,8 +192,9 @@ void stopset_corners(const StopsetDynamics *s, int64_t N, const double *u, doubl
             double c[STOPSET_DAMPING], out[4];
             const double gain = s->Minv[i * n + i], w = gain * u[i];
             for (int k = 0; k < s->orders; k++) c[k] = gain * s->viscous[i * s->orders + k];
+            const StopsetJoint joint = {s->orders, c, h / (double)parts, 1};
             for (int64_t part = 0; part < parts; part++) {
-                stopset_corner(z[i], z[n + i], 1, &w, s->orders, c, h / (double)parts, 1, out);
+                stopset_corner(&joint, z[i], z[n + i], 1, &w, out);
                 z[i] = out[2];
                 z[n + i] = out[3] > most ? most : out[3] < -most ? -most : out[3];
             }

@@ -77,9 +77,10 @@ void stopset_rigid_signals(const StopsetInputs *map, int rows, const double *q, 
     }
 }
 
-void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, int joint, int rows, const StopsetSamples *s,
-                         const StopsetRigid *rigid, double direction, int moves, double (*out)[ROWS]) {
-    const int n = map->arm.n, other = law->other;
+void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, const StopsetLook *look, const StopsetSamples *s,
+                         const StopsetRigid *rigid, double (*out)[ROWS]) {
+    const int n = map->arm.n, joint = law->joint, other = law->other, rows = look->rows, moves = look->moves;
+    const double direction = look->direction;
     for (int k = 0; k < rows; k++) {
         const double dq = moves ? s->dq[k * n + joint] : 0.0;
         out[S_Q][k] = s->q[k * n + joint];
@@ -109,14 +110,14 @@ void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, int jo
 }
 
 /* Torque of all laws together, out (J, ROWS). */
-static void effects(const StopsetInputs *map, int rows, const StopsetSamples *s, const StopsetRigid *rigid, double direction, int moves,
-                    double (*out)[ROWS]) {
+static void effects(const StopsetInputs *map, const StopsetLook *look, const StopsetSamples *s, const StopsetRigid *rigid, double (*out)[ROWS]) {
+    const int rows = look->rows;
     double signals[STOPSET_SIGNALS][ROWS], tau[ROWS];
     memset(signals, 0, sizeof signals);
     memset(out, 0, (size_t)map->arm.n * sizeof *out);
     for (int l = 0; l < map->laws; l++) {
         const StopsetLaw *law = map->law + l;
-        stopset_law_signals(map, law, law->joint, rows, s, rigid, direction, moves, signals);
+        stopset_law_signals(map, law, look, s, rigid, signals);
         stopset_play(&law->torque, (const double(*)[ROWS])signals, rows, tau);
         for (int k = 0; k < rows; k++) out[law->joint][k] += tau[k];
     }
@@ -143,12 +144,12 @@ static void block(const StopsetInputs *map, int rows, const StopsetSamples *s, d
         }
     }
     if (!map->laws) return;
-    effects(map, rows, s, &rigid, 0.0, 1, moving);
+    effects(map, &(StopsetLook){rows, 1, 0.0}, s, &rigid, moving);
     still = still && map->motor_torque;
     if (still) {
         if (map->needs & (STOPSET_NEEDS_LINK | STOPSET_NEEDS_TIP)) stopset_rigid_signals(map, rows, s->q, s->dq, 1, &rigid);
-        effects(map, rows, s, &rigid, 1.0, 0, ahead);
-        effects(map, rows, s, &rigid, -1.0, 0, back);
+        effects(map, &(StopsetLook){rows, 0, 1.0}, s, &rigid, ahead);
+        effects(map, &(StopsetLook){rows, 0, -1.0}, s, &rigid, back);
     }
     for (int k = 0; k < rows; k++)
         for (int i = 0; i < n; i++) {

@@ -18,7 +18,13 @@ typedef struct {
 /* q, dq (rows, n); `rest`: only what changes where the arm does not move. */
 void stopset_rigid_signals(const StopsetInputs *map, int rows, const double *q, const double *dq, int rest, StopsetRigid *out);
 
-/* Signals of one law; `direction` 0: the direction of dq, else the given one; `moves` 0: at rest. */
-void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, int joint, int rows, const StopsetSamples *s, const StopsetRigid *rigid,
-                         double direction, int moves, double (*out)[ROWS]);
+/* So many samples, moving or (0) taken to be at rest; `direction` of friction 0: that of dq, else the given one. */
+typedef struct {
+    int rows, moves;
+    double direction;
+} StopsetLook;
+
+/* Signals of one law at its joint. */
+void stopset_law_signals(const StopsetInputs *map, const StopsetLaw *law, const StopsetLook *look, const StopsetSamples *s,
+                         const StopsetRigid *rigid, double (*out)[ROWS]);
 #endif

@@ -198,8 +198,8 @@ void stopset_respond(const StopsetLinear *s, double h, const double *step, doubl
     }
 }
 
-int stopset_responses(const StopsetLinear *s, double dt, int64_t steps, double *step, double *work, double *E1, double *plus,
-                      double *minus) {
+int stopset_responses(const StopsetLinear *s, double dt, double *step, double *work, const StopsetResponses *out) {
+    double *E1 = out->E1, *plus = out->plus, *minus = out->minus;
     const int n2 = 2 * s->n;
     const int64_t rm = (int64_t)s->rows * s->inputs, rn = (int64_t)s->rows * n2;
     double E[4 * J * J] = {0};
@@ -209,7 +209,7 @@ int stopset_responses(const StopsetLinear *s, double dt, int64_t steps, double *
     memset(plus, 0, (size_t)rm * sizeof *plus);
     memset(minus, 0, (size_t)rm * sizeof *minus);
     seen(s, n2, E, E1);
-    for (int64_t k = 1; k <= steps; k++) {
+    for (int64_t k = 1; k < out->ages; k++) {
         memcpy(plus + k * rm, plus + (k - 1) * rm, (size_t)rm * sizeof *plus);
         memcpy(minus + k * rm, minus + (k - 1) * rm, (size_t)rm * sizeof *minus);
         stopset_respond(s, dt, step, E, plus + k * rm, minus + k * rm, work);
@@ -228,9 +228,10 @@ static void range(int m, const double *a, const double *lo, const double *hi, do
     }
 }
 
-void stopset_hulls(int64_t ages, int rows, int states, int inputs, const double *E1, const double *plus, const double *minus,
-                   const StopsetSets *sets, double *lo, double *hi) {
-    for (int64_t r = 0; r < ages * rows; r++, E1 += states, plus += inputs, minus += inputs) {
+void stopset_hulls(const StopsetResponses *s, const StopsetSets *sets, double *lo, double *hi) {
+    const int states = s->states, inputs = s->inputs;
+    const double *E1 = s->E1, *plus = s->plus, *minus = s->minus;
+    for (int64_t r = 0; r < s->ages * s->rows; r++, E1 += states, plus += inputs, minus += inputs) {
         range(states, E1, sets->X0_lo, sets->X0_hi, lo + r, hi + r);
         for (int c = 0; c < inputs; c++) {
             lo[r] += plus[c] * sets->U_lo[c] + minus[c] * sets->U_hi[c];
@@ -239,19 +240,19 @@ void stopset_hulls(int64_t ages, int rows, int states, int inputs, const double 
     }
 }
 
-void stopset_tubes(int64_t ages, int rows, int states, int inputs, const double *look, const double *E1, const double *plus,
-                   const double *minus, const StopsetSets *sets, double *lo, double *hi) {
+void stopset_tubes(const StopsetResponses *s, const double *look, const StopsetSets *sets, double *lo, double *hi) {
+    const int rows = s->rows, states = s->states;
     const double inf = 1.0 / 0.0;
-    stopset_hulls(ages, rows, states, inputs, E1, plus, minus, sets, lo, hi);
+    stopset_hulls(s, sets, lo, hi);
     for (int r = 0; r < rows; r++) {
         const int free = sets->position_only && r >= rows / 2; /* nothing was promised about speeds */
         double low = sets->V_lo[r % states], high = sets->V_hi[r % states];
         if (look) range(states, look + r * states, sets->V_lo, sets->V_hi, &low, &high);
-        for (int64_t k = r; k < ages * rows; k += rows) {
+        for (int64_t k = r; k < s->ages * rows; k += rows) {
             lo[k] += low;
             hi[k] += high;
             /* sums of products and of two numbers per input in double precision, rounded outward */
-            const double slack = 0x1p-50 * inputs * larger(absolute(lo[k]), absolute(hi[k]));
+            const double slack = 0x1p-50 * s->inputs * larger(absolute(lo[k]), absolute(hi[k]));
             lo[k] = free ? -inf : lo[k] - slack;
             hi[k] = free ? inf : hi[k] + slack;
         }

@@ -39,12 +39,14 @@ void stopset_polynomial_slopes(const StopsetPolynomials *s, int64_t N, const dou
 }
 
 /* Terms are keys (degree from bit `shift` up, exponents below) and coefficients. A hash table with linear probing. */
-int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b, int order,
-                                int shift, int64_t size, int64_t *slot, int64_t room, int64_t *key, double *value) {
-    const int64_t mask = size - 1;
+int64_t stopset_taylor_multiply(const StopsetTaylor *one, const StopsetTaylor *other, int order, int shift, const StopsetProduct *out) {
+    const int64_t A = one->count, B = other->count, *ka = one->key, *kb = other->key, mask = out->size - 1;
+    const double *a = one->value, *b = other->value;
+    int64_t *slot = out->slot, *key = out->key;
+    double *value = out->value;
     int64_t used = 0, end[64] = {0}; /* end[k]: terms of b of degree <= k */
     if (order < 0 || order > 63) return -1;
-    for (int64_t k = 0; k < size; k++) slot[k] = -1;
+    for (int64_t k = 0; k < out->size; k++) slot[k] = -1;
     for (int64_t j = 0; j < B; j++)
         if (kb[j] >> shift <= order) end[kb[j] >> shift] = j + 1;
     for (int k = 1; k <= order; k++)
@@ -58,7 +60,7 @@ int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, i
             if (slot[h] >= 0)
                 value[slot[h]] += a[i] * b[j];
             else {
-                if (used == room) return -1;
+                if (used == out->room) return -1;
                 slot[h] = used;
                 key[used] = k;
                 value[used++] = a[i] * b[j];
@@ -68,8 +70,9 @@ int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, i
     return used;
 }
 
-int64_t stopset_taylor_add(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b, double factor,
-                           int64_t *key, double *value) {
+int64_t stopset_taylor_add(const StopsetTaylor *one, const StopsetTaylor *other, double factor, int64_t *key, double *value) {
+    const int64_t A = one->count, B = other->count, *ka = one->key, *kb = other->key;
+    const double *a = one->value, *b = other->value;
     int64_t i = 0, j = 0, m = 0;
     while (i < A || j < B) {
         const int first = j == B || (i < A && ka[i] <= kb[j]), second = i == A || (j < B && kb[j] <= ka[i]);

@@ -35,23 +35,28 @@ static inline void corner_step(double *q, double *v, double w, int orders, const
     }
 }
 
-void stopset_corner(double q, double v, int64_t N, const double *w, int orders, const double *c, double h, int64_t parts, double *out) {
+void stopset_corner(const StopsetJoint *s, double q, double v, int64_t N, const double *w, double *out) {
     out[0] = q;
     out[1] = v;
     for (int64_t k = 0; k < N; k++) {
-        corner_step(&q, &v, w[k], orders, c, h, parts);
+        corner_step(&q, &v, w[k], s->orders, s->c, s->dt, s->parts);
         out[2 * k + 2] = q;
         out[2 * k + 3] = v;
     }
 }
 
-void stopset_corner_excess(const StopsetCorner *s, int64_t N, const double *x, const double *w, int64_t starts, const int64_t *start,
-                           int64_t trial, double *best, int64_t *at, uint8_t *outside) {
-    for (int64_t i = 0; i < starts; i++) {
-        const int64_t from = start[i], last = s->horizon < N - 1 - from ? s->horizon : N - 1 - from;
+void stopset_corner_excess(const StopsetCorner *s, const StopsetTrial *trial, const StopsetExcess *found) {
+    const StopsetJoint *joint = &s->joint;
+    const double *x = trial->x, *w = trial->w;
+    const int64_t N = trial->N;
+    double *best = found->best;
+    int64_t *at = found->at;
+    uint8_t *outside = found->outside;
+    for (int64_t i = 0; i < trial->starts; i++) {
+        const int64_t from = trial->start[i], last = s->horizon < N - 1 - from ? s->horizon : N - 1 - from;
         double z[2] = {x[2 * from] + s->dq0, x[2 * from + 1] + s->dv0};
         for (int64_t h = 1; h <= last; h++) {
-            corner_step(z, z + 1, w[from + h - 1], s->orders, s->c, s->dt, s->parts);
+            corner_step(z, z + 1, w[from + h - 1], joint->orders, joint->c, joint->dt, joint->parts);
             if (!(absolute(z[1]) < s->runaway)) {
                 if (s->sign * z[1] < 0.0) { /* gone the wrong way: nothing is enclosed */
                     best[2 * h] = best[2 * h + 1] = 1.0 / 0.0;
@@ -63,7 +68,7 @@ void stopset_corner_excess(const StopsetCorner *s, int64_t N, const double *x, c
                 const double e = s->sign * (x[2 * (from + h) + k] - z[k]);
                 if (e > best[2 * h + k]) {
                     best[2 * h + k] = e;
-                    at[2 * (2 * h + k)] = trial;
+                    at[2 * (2 * h + k)] = trial->trial;
                     at[2 * (2 * h + k) + 1] = from;
                 }
                 if (e > s->limit[k]) outside[i] = 1;
@@ -72,13 +77,13 @@ void stopset_corner_excess(const StopsetCorner *s, int64_t N, const double *x, c
     }
 }
 
-void stopset_corner_sensitivity(double *q, double *v, int64_t N, const double *w, int orders, const double *c, double dt, int64_t parts,
-                                double *S) {
-    const double d = dt / (double)parts;
+void stopset_corner_sensitivity(const StopsetJoint *s, double *q, double *v, int64_t N, const double *w, double *S) {
+    const double *c = s->c, d = s->dt / (double)s->parts;
+    const int orders = s->orders;
     memset(S, 0, 6 * sizeof *S);
     S[0] = S[4] = 1.0;
     for (int64_t k = 0; k < N; k++)
-        for (int64_t part = 0; part < parts; part++) {
+        for (int64_t part = 0; part < s->parts; part++) {
             const double before = *v;
             corner_step(q, v, w[k], orders, c, d, 1);
             const double middle = 0.5 * (before + *v);
@@ -146,8 +151,8 @@ STOPSET_WIDE static void advance(int m, const double *step, int64_t N, int64_t s
 }
 
 /* Adds the responses of one step, (s, n) at its start, its end and over it, to their positive and negative parts. */
-STOPSET_WIDE static void add_signed(int64_t steps, int n, double dt, const double *start, const double *end, const double *whole,
-                                    double *p, double *q) {
+STOPSET_WIDE static void add_signed(int64_t steps, int n, double dt, const double *const of[3], double *p, double *q) {
+    const double *start = of[0], *end = of[1], *whole = of[2];
     for (int64_t s = 0; s < steps; s++, start += n, end += n, whole += n)
         for (int j = 0; j < n; j++) {
             const double a = start[j], b = end[j], total = whole[j], larger = absolute(a) > absolute(b) ? absolute(a) : absolute(b);
@@ -158,12 +163,12 @@ STOPSET_WIDE static void add_signed(int64_t steps, int n, double dt, const doubl
         }
 }
 
-int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double dt, double *E1, double *plus, double *minus, double *work) {
+int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double dt, const StopsetResponses *out, double *work) {
     if (n < 1 || n > STOPSET_JOINTS) return STOPSET_TOO_MANY_JOINTS;
     const int m = 2 * n, mn = m * n, mm = m * m;
     double A[M * M], B[M * STOPSET_JOINTS], step[M * M], integral[M * M], column[M * STOPSET_JOINTS];
     const int64_t stride = H * n; /* rows of one state: a step's n torques, step after step */
-    double *start = work, *end = work + H * mn, *whole = work + 2 * H * mn;
+    double *start = work, *end = work + H * mn, *whole = work + 2 * H * mn, *E1 = out->E1, *plus = out->plus, *minus = out->minus;
     memset(A, 0, sizeof A);
     memset(B, 0, sizeof B);
     memset(E1, 0, (size_t)mm * sizeof *E1);
@@ -185,8 +190,10 @@ int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double
         multiply(m, m, n, integral, B, column);
         for (int i = 0; i < m; i++) memcpy(whole + i * stride + k * n, column + i * n, (size_t)n * sizeof *column);
         double *p = plus + (k + 1) * mn, *q = minus + (k + 1) * mn;
-        for (int i = 0; i < m; i++)
-            add_signed(k + 1, n, dt, start + i * stride, end + i * stride, whole + i * stride, p + i * n, q + i * n);
+        for (int i = 0; i < m; i++) {
+            const double *const of[3] = {start + i * stride, end + i * stride, whole + i * stride};
+            add_signed(k + 1, n, dt, of, p + i * n, q + i * n);
+        }
     }
     return STOPSET_OK;
 }

@@ -171,8 +171,8 @@ static void look_ahead(const StopsetPredictions *s, Step *step) {
     }
 }
 
-int64_t stopset_advance(const StopsetPredictions *s, const double *x, const double *before, const double *u, const double *du, int outside,
-                        int widen, int64_t seen[2]) {
+int64_t stopset_advance(const StopsetPredictions *s, const StopsetReading *reading, int outside, int widen, int64_t seen[2]) {
+    const double *x = reading->x, *before = reading->before, *u = reading->u, *du = reading->du;
     const int n2 = s->states, n = n2 / 2;
     Step step = {.widen = widen, .outside = outside, .worst = {{0}}};
     if (n < 1 || n > J) return -1;

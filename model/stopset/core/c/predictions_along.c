@@ -92,8 +92,10 @@ static void by_path(const StopsetAlong *a, int64_t age, double *lo, double *hi) 
         for (int k = 0; k < 6; k++) set[k][i] = ends[k];
     }
     const StopsetSets sets = {set[0], set[1], set[2], set[3], set[4], set[5], given->position_only};
-    stopset_nominal(a->dynamics, 1, age, a->x + n2 * place(a, a->count[STEPS] - age), u, a->dt, a->work, path);
-    stopset_ahead(a->dynamics, &sets, age, path, u, a->dt, a->work, lo, hi);
+    const StopsetStarts start = {1, age, a->x + n2 * place(a, a->count[STEPS] - age), u, a->dt};
+    const StopsetNominal nominal = {age, path, u, a->dt};
+    stopset_nominal(a->dynamics, &start, a->work, path);
+    stopset_ahead(a->dynamics, &sets, &nominal, a->work, lo, hi);
 }
 
 void stopset_along_bounds(const StopsetAlong *a, int64_t age, double *lo, double *hi) {

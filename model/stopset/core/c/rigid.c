@@ -94,9 +94,10 @@ int stopset_torques(const StopsetArm *arm, int64_t N, const double *q, const dou
     return STOPSET_OK;
 }
 
-int stopset_bent_torques(const StopsetArm *arm, int64_t N, const double *q, const double *dq, const double *ddq, int joint,
-                         const double *x, const double *dx, const double *ddx, int lowest, double *tau) {
+int stopset_bent_torques(const StopsetArm *arm, int64_t N, const double *q, const double *dq, const double *ddq, const StopsetBend *bend,
+                         double *tau) {
     KNOWN_SIZE(arm);
+    const int joint = bend->joint;
     Motion m;
     double at[J], speed[J], rate[J];
     const size_t row = (size_t)arm->n * sizeof(double);
@@ -105,13 +106,13 @@ int stopset_bent_torques(const StopsetArm *arm, int64_t N, const double *q, cons
         memcpy(speed, dq + k * arm->n, row);
         memcpy(rate, ddq + k * arm->n, row);
         if (joint >= 0 && joint < arm->n) {
-            at[joint] += x[k];
-            speed[joint] += dx[k];
-            rate[joint] += ddx[k];
+            at[joint] += bend->x[k];
+            speed[joint] += bend->dx[k];
+            rate[joint] += bend->ddx[k];
         }
         turn_all(arm, at, m.E);
         outward(arm, speed, rate, &m);
-        inward(arm, &m, lowest, tau + k * arm->n);
+        inward(arm, &m, bend->lowest, tau + k * arm->n);
     }
     return STOPSET_OK;
 }

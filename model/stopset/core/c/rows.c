@@ -23,8 +23,10 @@ void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out)
     }
 }
 
-int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width, const double *h,
+int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, const StopsetKernel *kernel,
                      double *out) {
+    const int64_t width = kernel->width;
+    const double *h = kernel->h;
     memset(out, 0, (size_t)(rows * columns) * sizeof *out);
     for (int64_t r = 0; r < rows; r++, out += columns) {
         const int64_t from = centre[r] - width / 2;
@@ -92,13 +94,13 @@ static void waves(double q, double fade, int64_t R, double n, double step, doubl
     }
 }
 
-STOPSET_WIDE void stopset_ripple_products(int64_t N, const double *q, const double *fade, const double *r, int64_t R, double n, double step,
-                                          double *work, double *restrict a, double *restrict b) {
+STOPSET_WIDE void stopset_ripple_products(const StopsetRipples *ripples, const double *r, double *work, double *restrict a, double *restrict b) {
+    const int64_t N = ripples->N, R = ripples->R;
     double *s = work, *c = work + R;
     memset(a, 0, (size_t)R * sizeof *a);
     memset(b, 0, (size_t)R * sizeof *b);
     for (int64_t k = 0; k < N; k++) {
-        waves(q[k], fade[k], R, n, step, s, c);
+        waves(ripples->q[k], ripples->fade[k], R, ripples->n, ripples->step, s, c);
         for (int64_t m = 0; m < R; m++) {
             a[m] += r[k] * s[m];
             b[m] += r[k] * c[m];
@@ -106,9 +108,9 @@ STOPSET_WIDE void stopset_ripple_products(int64_t N, const double *q, const doub
     }
 }
 
-STOPSET_WIDE void stopset_ripple_power(const StopsetPredictor *p, int64_t N, const double *q, const double *fade, const uint8_t *start,
-                                       int64_t R, double n, double step, double *work, double *restrict ss, double *restrict cc,
-                                       double *restrict sc) {
+STOPSET_WIDE void stopset_ripple_power(const StopsetPredictor *p, const StopsetRipples *ripples, const uint8_t *start, double *work,
+                                       double *restrict ss, double *restrict cc, double *restrict sc) {
+    const int64_t N = ripples->N, R = ripples->R;
     const int64_t order = p->order, ring = order + 1; /* the last rows stand in a ring */
     double *s = work, *c = s + ring * R, *restrict x = c + ring * R, *restrict y = x + R;
     const size_t row = (size_t)R * sizeof *x;
@@ -119,7 +121,7 @@ STOPSET_WIDE void stopset_ripple_power(const StopsetPredictor *p, int64_t N, con
     for (int64_t k = 0; k < N; k++) {
         run = start[k] ? 0 : run + 1;
         const int64_t m = run < order ? run : order, at = p->kind[k] * (order + 1) + m, here = k % ring;
-        waves(q[k], fade[k], R, n, step, s + here * R, c + here * R);
+        waves(ripples->q[k], ripples->fade[k], R, ripples->n, ripples->step, s + here * R, c + here * R);
         memcpy(x, s + here * R, row);
         memcpy(y, c + here * R, row);
         for (int64_t i = 0; i < m; i++) {
@@ -145,9 +147,10 @@ static void newmark(double force, double m, double stiff, double D, double h, do
     *dx = *dx + h * ddx;
 }
 
-void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const double *x0, const double *dx0, double dt, int parts, double *out,
-                   double *rate, double *acc) {
-    const double h = dt / parts;
+void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const double *x0, const double *dx0, double *out) {
+    const int parts = s->parts;
+    const double h = s->dt / parts;
+    double *rate = out + N, *acc = rate + N;
     double x = 0.0, dx = 0.0;
     for (int64_t k = 0; k < N; k++) {
         const double stiff = s->K + s->g[k];
@@ -165,7 +168,8 @@ void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const d
     }
 }
 
-void stopset_led(const StopsetSwing *s, int64_t N, const double *link, const double *rest, int64_t steps, double h, double *x0, double *dx0) {
+void stopset_led(const StopsetSwing *s, int64_t N, const double *link, const double *rest, int64_t steps, double *x0, double *dx0) {
+    const double h = s->dt / s->parts;
     for (int64_t k = 0; k < N; k++) {
         const double stiff = s->K + s->g[k];
         x0[k] = dx0[k] = 0.0;

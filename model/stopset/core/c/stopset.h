@@ -64,9 +64,16 @@ typedef struct {
 STOPSET_API int stopset_torques(const StopsetArm *arm, int64_t N, const double *q, const double *dq, const double *ddq, double *tau);
 /* g(q), (N, n) [N m]. */
 STOPSET_API int stopset_gravity_torques(const StopsetArm *arm, int64_t N, const double *q, double *tau);
-/* Torques of the joints from `lowest` on with `joint` bent by x, dx, ddx (N,) [rad, ..]; the other columns stay as they are. */
-STOPSET_API int stopset_bent_torques(const StopsetArm *arm, int64_t N, const double *q, const double *dq, const double *ddq, int joint,
-                                     const double *x, const double *dx, const double *ddx, int lowest, double *tau);
+
+/* A joint whose link is off its encoder by x, dx, ddx (N,) [rad, ..]; looked at from the joint `lowest` on. */
+typedef struct {
+    int32_t joint, lowest;
+    const double *x, *dx, *ddx;
+} StopsetBend;
+
+/* Torques tau (N, n) [N m] with a joint bent; the columns of the joints before `lowest` stay as they are. */
+STOPSET_API int stopset_bent_torques(const StopsetArm *arm, int64_t N, const double *q, const double *dq, const double *ddq,
+                                     const StopsetBend *bend, double *tau);
 /* M(q), (N, n, n) [kg m^2]: links only, no rotors. */
 STOPSET_API int stopset_mass_matrices(const StopsetArm *arm, int64_t N, const double *q, double *M);
 /* Y (N, n, 10 n) [N m per unit of pi]: torque = Y pi. */
@@ -157,10 +164,9 @@ typedef struct {
     const StopsetCarried *carried;                      /* (states,) */
 } StopsetMonitor;
 
-/* u, du (n,) [N m] of a sample: the input, and how much rounding, an unknown place and unknown states can have changed it.
- * `ends` (states, 2): intervals of the states at this sample, then at the next. `temp` may be 0. */
-STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const double *q, const double *dq, const double *tau,
-                                     const double *temp, double *ends, double *u, double *du);
+/* u, du (n,) [N m] of one sample, its q, dq, tau and temp: the input, and how much rounding, an unknown place and unknown states can have
+ * changed it. `ends` (states, 2): intervals of the states at this sample, then at the next. */
+STOPSET_API int stopset_sample_input(const StopsetMonitor *monitor, const StopsetSamples *sample, double *ends, double *u, double *du);
 
 /* How many of x (N,) lie outside [lo - slack, hi + slack]. */
 STOPSET_API int64_t stopset_beyond(int64_t N, const double *x, const double *lo, const double *hi, const double *slack);
@@ -192,11 +198,15 @@ typedef struct {
 /* To be called when lo or hi have changed. */
 STOPSET_API void stopset_centre(const StopsetPredictions *predictions);
 
-/* Every prediction one step on under u, +- du (n,) [N m], from the state `before`, and the measured state x (2n,) [rad, rad/s] against
- * each at its age.
+/* A step from the state `before` to x (2n,) [rad, rad/s], both measured, under u, +- du (n,) [N m]. */
+typedef struct {
+    const double *x, *before, *u, *du;
+} StopsetReading;
+
+/* Every prediction one step on, (rows,) of them, and x [rad, rad/s] against each at its age.
  * Returns the predictions alive; `seen`: the greatest age, and how many of x's bounds are passed. Not a number counts as outside. */
-STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const double *x, const double *before, const double *u,
-                                    const double *du, int outside, int widen, int64_t seen[2]);
+STOPSET_API int64_t stopset_advance(const StopsetPredictions *predictions, const StopsetReading *reading, int outside, int widen,
+                                    int64_t seen[2]);
 
 /* The whole check of one arm, a sample after the other. */
 typedef struct {
@@ -314,9 +324,16 @@ STOPSET_API void stopset_extremes(int64_t N, const double *x, double *top, doubl
  * (2, starts). */
 STOPSET_API int stopset_widen_decoupled(const StopsetEnvelope *envelope, int n, const double *a, int64_t N, const double *residual,
                                         int64_t starts, double *work);
-/* Any Ad (2n, 2n) [1, s, 1/s], looked at along the directions `across` (k, n); work (4n + 1, starts). */
-STOPSET_API int stopset_widen_coupled(const StopsetEnvelope *envelope, int n, const double *Ad, int k, const double *across, int64_t N,
-                                      const double *residual, int64_t starts, double *work);
+
+/* A step Ad (2n, 2n) [1, s, 1/s] of n joints, looked at along k directions `across` (k, n). */
+typedef struct {
+    int32_t n, k;
+    const double *Ad, *across;
+} StopsetLooked;
+
+/* The same of joints together, residual (2n, N) [rad, rad/s]; work (4n + 1, starts). */
+STOPSET_API int stopset_widen_coupled(const StopsetEnvelope *envelope, const StopsetLooked *step, int64_t N, const double *residual,
+                                      int64_t starts, double *work);
 
 /* ---- filter.c: what recordings pass before a regression */
 
@@ -350,9 +367,16 @@ STOPSET_API int stopset_linear_step(const StopsetLinear *linear, double h, doubl
  * than that of min(K, 0). */
 STOPSET_API void stopset_respond(const StopsetLinear *linear, double h, const double *step, double *E, double *plus, double *minus,
                                  double *work);
-/* The same for ages 0, dt, .. steps dt [s], of what is looked at: E1 (steps + 1, rows, 2n), plus, minus (steps + 1, rows, inputs). */
-STOPSET_API int stopset_responses(const StopsetLinear *linear, double dt, int64_t steps, double *step, double *work, double *E1,
-                                  double *plus, double *minus);
+
+/* At every age, of what is looked at: E1 (ages, rows, states) [1, s, 1/s] to the start, plus, minus (ages, rows, inputs) to torques of either sign. */
+typedef struct {
+    int64_t ages;
+    int32_t rows, states, inputs;
+    double *E1, *plus, *minus;
+} StopsetResponses;
+
+/* The same (ages, rows, ..) for ages 0, dt, .. [s]. */
+STOPSET_API int stopset_responses(const StopsetLinear *linear, double dt, double *step, double *work, const StopsetResponses *out);
 
 typedef struct {
     const double *X0_lo, *X0_hi, *U_lo, *U_hi, *V_lo, *V_hi; /* (states,), (inputs,), (states,) */
@@ -361,40 +385,56 @@ typedef struct {
 
 /* Bounds (ages, rows) [rad, rad/s] of E1 X0 + the response to U; with a reading's noise V on top, rounded outward, `look` (rows,
  * states) or 0. */
-STOPSET_API void stopset_hulls(int64_t ages, int rows, int states, int inputs, const double *E1, const double *plus, const double *minus,
-                               const StopsetSets *sets, double *lo, double *hi);
-STOPSET_API void stopset_tubes(int64_t ages, int rows, int states, int inputs, const double *look, const double *E1, const double *plus,
-                               const double *minus, const StopsetSets *sets, double *lo, double *hi);
+STOPSET_API void stopset_hulls(const StopsetResponses *responses, const StopsetSets *sets, double *lo, double *hi);
+STOPSET_API void stopset_tubes(const StopsetResponses *responses, const double *look, const StopsetSets *sets, double *lo, double *hi);
 
 /* ---- predict.c: nominal predictions and their sets */
 
 /* x(k+1) <- Ad x(k) + x(k+1) for rows (N, m) [any] that hold the start, then what drives each step. */
 STOPSET_API void stopset_march(int m, const double *Ad, int64_t N, double *x);
-/* Trajectory (N + 1, 2) of q' = v, v' = w - sum c_k v^(k+1), w (N,) held over steps of h [s], each cut into `parts`. */
-STOPSET_API void stopset_corner(double q, double v, int64_t N, const double *w, int orders, const double *c, double h, int64_t parts,
-                                double *out);
 
+/* A decoupled joint, q' = v, v' = w - sum c_k v^(k+1) with w [rad/s^2] held over steps of dt [s], each cut into `parts`. */
 typedef struct {
     int32_t orders;
-    const double *c;                    /* (orders,) of the friction curve over inertia */
-    double dt, dq0, dv0, sign, runaway; /* step [s]; this corner of the start; side; speed [rad/s] that is no solution any more */
-    int64_t parts, horizon;
-    double limit[2];                    /* noise that a reading may be beyond the corner */
+    const double *c; /* (orders,) of the friction curve over inertia */
+    double dt;
+    int64_t parts;
+} StopsetJoint;
+
+/* Its trajectory (N + 1, 2) [rad, rad/s] under w (N,). */
+STOPSET_API void stopset_corner(const StopsetJoint *joint, double q, double v, int64_t N, const double *w, double *out);
+
+typedef struct {
+    StopsetJoint joint;
+    double dq0, dv0, sign, runaway; /* this corner of the start; side; speed [rad/s] that is no solution any more */
+    int64_t horizon;
+    double limit[2];                /* noise that a reading may be beyond the corner */
 } StopsetCorner;
 
-/* How far readings x (N, 2) [rad, rad/s] lie beyond a corner's solutions under w (N,) [rad/s^2]: per age the largest, best (horizon +
- * 1, 2), and where, at (horizon + 1, 2, 2) trial and start; `outside` is set for starts from which a reading is beyond the limit. */
-STOPSET_API void stopset_corner_excess(const StopsetCorner *corner, int64_t N, const double *x, const double *w, int64_t starts,
-                                       const int64_t *start, int64_t trial, double *best, int64_t *at, uint8_t *outside);
+/* A trial: readings x (N, 2) [rad, rad/s] under w (N,) [rad/s^2], looked at from every `start` (starts,). */
+typedef struct {
+    int64_t trial, N;
+    const double *x, *w;
+    int64_t starts;
+    const int64_t *start;
+} StopsetTrial;
+
+/* Per age the largest, best (horizon + 1, 2) [rad, rad/s], and where, at (horizon + 1, 2, 2) trial and start; `outside` (starts,) is set for starts
+ * from which a reading is beyond the limit. */
+typedef struct {
+    double *best;
+    int64_t *at;
+    uint8_t *outside;
+} StopsetExcess;
+
+/* How far the readings of a trial lie beyond a corner's solutions, (horizon + 1, 2) [rad, rad/s], on top of what was found before. */
+STOPSET_API void stopset_corner_excess(const StopsetCorner *corner, const StopsetTrial *trial, const StopsetExcess *found);
 /* End (q, v) [rad, rad/s] after w (N,) [rad/s^2] and its derivatives S (2, 3) by start angle, start speed and a constant added to w. */
-STOPSET_API void stopset_corner_sensitivity(double *q, double *v, int64_t N, const double *w, int orders, const double *c, double dt,
-                                            int64_t parts, double *S);
+STOPSET_API void stopset_corner_sensitivity(const StopsetJoint *joint, double *q, double *v, int64_t N, const double *w, double *S);
 /* Terms of the exponential of one step's matrix, whose norm is below 1. */
 #define STOPSET_TERMS 12
-/* Responses along a nominal solution in steps of dt [s]: J_x (H + 1, n, 2n), J_u (H + 1, n, n); out E1 (H + 1, 2n, 2n), plus and minus
- * (H + 1, 2n, n); work (3, H, 2n, n). */
-STOPSET_API int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double dt, double *E1, double *plus, double *minus,
-                              double *work);
+/* Responses along a nominal solution in steps of dt [s]: J_x (H + 1, n, 2n), J_u (H + 1, n, n), of every state; work (3, H, 2n, n). */
+STOPSET_API int stopset_along(int n, int64_t H, const double *J_x, const double *J_u, double dt, const StopsetResponses *out, double *work);
 /* z (N,) of dz/dt = b + a z, both held over dt (N,) [s], from `start` wherever `first` is set: exact. */
 STOPSET_API void stopset_remember(int64_t N, const double *b, const double *a, const double *dt, const uint8_t *first, double start,
                                   double *z);
@@ -428,17 +468,31 @@ STOPSET_API int64_t stopset_dynamics_room(const StopsetDynamics *dynamics);
 /* ddq (n,) [rad/s^2]; what models 1 and 2 take off the input, (n,) [N m]. */
 STOPSET_API void stopset_acceleration(const StopsetDynamics *dynamics, const double *q, const double *dq, const double *u, double *work, double *ddq);
 STOPSET_API void stopset_drag(const StopsetDynamics *dynamics, const double *q, const double *dq, double *work, double *out);
-/* Solutions out (W, N + 1, 2n) from x0 (W, 2n) under u (W, N, n) held over each step of dt [s]: classical Runge-Kutta. */
-STOPSET_API void stopset_nominal(const StopsetDynamics *dynamics, int64_t W, int64_t N, const double *x0, const double *u, double dt,
-                                 double *work, double *out);
+
+/* W starts x0 (W, 2n) [rad, rad/s], each under inputs u (W, N, n) [N m] held over N steps of dt [s]. */
+typedef struct {
+    int64_t W, N;
+    const double *x0, *u;
+    double dt;
+} StopsetStarts;
+
+/* Solutions out (W, N + 1, 2n) [rad, rad/s]: classical Runge-Kutta. */
+STOPSET_API void stopset_nominal(const StopsetDynamics *dynamics, const StopsetStarts *starts, double *work, double *out);
 /* d ddq / d(q, dq) (N, n, 2n) [1/s^2, 1/s] and d ddq / du (N, n, n) [1/(kg m^2)] at rows of x (N, 2n), u (N, n). */
 STOPSET_API void stopset_linearised(const StopsetDynamics *dynamics, int64_t N, const double *x, const double *u, double *work, double *J_x,
                                     double *J_u);
-/* Where a reading may lie at the end of a path (H + 1, 2n) [rad, rad/s] under u (H, n) [N m] held for dt [s]: lo, hi (2n,). work:
- * stopset_ahead_room. */
+
+/* A nominal path (H + 1, 2n) [rad, rad/s] under u (H, n) [N m] held for dt [s]. */
+typedef struct {
+    int64_t H;
+    const double *path, *u;
+    double dt;
+} StopsetNominal;
+
+/* Where a reading may lie at the end of a path: lo, hi (2n,) [rad, rad/s]. work: stopset_ahead_room. */
 STOPSET_API int64_t stopset_ahead_room(const StopsetDynamics *dynamics, int64_t H);
-STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets *sets, int64_t H, const double *path, const double *u,
-                              double dt, double *work, double *lo, double *hi);
+STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets *sets, const StopsetNominal *nominal, double *work,
+                              double *lo, double *hi);
 /* Bounds of states (m,) [rad, rad/s] become those of readings, rounded outward by `round` of their size. */
 STOPSET_API void stopset_read(int m, const StopsetSets *sets, double round, double *lo, double *hi);
 /* A step's rate of decay times its length. */
@@ -494,21 +548,39 @@ STOPSET_API void stopset_along_bounds(const StopsetAlong *along, int64_t age, do
 STOPSET_API int64_t stopset_along_sample(const StopsetAlong *along, int64_t every, const double *x, const double *u, const double *du,
                                          int outside, const StopsetHeld *held);
 
-/* Terms of a product [any] up to `order`, unsorted, into key and value (room,); slot: work of `size`, a power of two of at least twice
- * room. Returns how many, -1: room is too small. */
-STOPSET_API int64_t stopset_taylor_multiply(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
-                                            int order, int shift, int64_t size, int64_t *slot, int64_t room, int64_t *key, double *value);
-/* Sorted terms [any] of a + factor b, into key and value (A + B,); returns how many. */
-STOPSET_API int64_t stopset_taylor_add(int64_t A, const int64_t *ka, const double *a, int64_t B, const int64_t *kb, const double *b,
-                                       double factor, int64_t *key, double *value);
+/* Terms of a Taylor form, sorted: keys (count,), coefficients [any]. */
+typedef struct {
+    int64_t count;
+    const int64_t *key;
+    const double *value;
+} StopsetTaylor;
+
+/* Where a product goes: key and value (room,) [any]; slot: work of `size`, a power of two of at least twice room. */
+typedef struct {
+    int64_t room, size;
+    int64_t *slot, *key;
+    double *value;
+} StopsetProduct;
+
+/* Terms (room,) [any] of a product up to `order`, unsorted. Returns how many, -1: room is too small. */
+STOPSET_API int64_t stopset_taylor_multiply(const StopsetTaylor *a, const StopsetTaylor *b, int order, int shift, const StopsetProduct *out);
+/* Sorted terms [any] of a + factor b, into key and value (of both counts,); returns how many. */
+STOPSET_API int64_t stopset_taylor_add(const StopsetTaylor *a, const StopsetTaylor *b, double factor, int64_t *key, double *value);
 
 /* ---- rows.c: the diagnosis' rows; `first`, `start` (N,): a new trial, a new run of rows begins */
 
 /* x (N,) [any] smoothed over about +-3 rows within each trial, whose rows begin at `first` (N,). */
 STOPSET_API void stopset_calm(int64_t N, const double *x, const uint8_t *first, double *out);
-/* out (rows, columns) [any]: rows of x (N, columns) about each `centre`, weighted by h (width,), which is odd. */
-STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre, int64_t width,
-                                 const double *h, double *out);
+
+/* Weights h (width,) [1]; the width is odd. */
+typedef struct {
+    int64_t width;
+    const double *h;
+} StopsetKernel;
+
+/* out (rows, columns) [any]: rows of x (N, columns) about each `centre`, weighted. */
+STOPSET_API int stopset_weighted(int64_t N, int64_t columns, const double *x, int64_t rows, const int64_t *centre,
+                                 const StopsetKernel *kernel, double *out);
 
 typedef struct {
     int64_t order;
@@ -521,27 +593,33 @@ STOPSET_API void stopset_whiten(const StopsetPredictor *predictor, int64_t N, in
                                 double *out);
 STOPSET_API void stopset_coloured(const StopsetPredictor *predictor, int64_t N, const double *e, const uint8_t *start, double *out);
 STOPSET_API void stopset_whiten_adjoint(const StopsetPredictor *predictor, int64_t N, const double *r, const uint8_t *start, double *out);
-/* R ripples of n, n + step, .. cycles per turn, faded by exp(-fade n^2), at q (N,) [rad]: sums (R,) of r (N,) [1] times sine and
- * cosine; work (2, R). */
-STOPSET_API void stopset_ripple_products(int64_t N, const double *q, const double *fade, const double *r, int64_t R, double n, double step,
-                                         double *work, double *a, double *b);
-/* Sums (R,) [1] of squares and products of the whitened sines and cosines at q (N,) [rad]; work (2 order + 4, R). */
-STOPSET_API void stopset_ripple_power(const StopsetPredictor *predictor, int64_t N, const double *q, const double *fade,
-                                      const uint8_t *start, int64_t R, double n, double step, double *work, double *ss, double *cc,
-                                      double *sc);
+
+/* R ripples of n, n + step, .. cycles per turn, faded by exp(-fade n^2), at q, fade (N,) [rad, 1]. */
+typedef struct {
+    int64_t N, R;
+    const double *q, *fade;
+    double n, step;
+} StopsetRipples;
+
+/* Sums (R,) of r (N,) [1] times sine and cosine; work (2, R). */
+STOPSET_API void stopset_ripple_products(const StopsetRipples *ripples, const double *r, double *work, double *a, double *b);
+/* Sums (R,) [1] of squares and products of the whitened sines and cosines; work (2 order + 4, R). */
+STOPSET_API void stopset_ripple_power(const StopsetPredictor *predictor, const StopsetRipples *ripples, const uint8_t *start, double *work,
+                                      double *ss, double *cc, double *sc);
 
 typedef struct {
     const double *M, *g;  /* (N,) inertia [kg m^2], gravity's stiffness [N m/rad] */
     const uint8_t *first;
     double K, D;          /* [N m/rad], [N m s/rad] */
+    double dt;            /* [s] between rows, in so many parts */
+    int32_t parts;
 } StopsetSwing;
 
-/* Position, speed, acceleration (N,) of a link against its motor under `link` (N,) [N m], from x0, dx0 at each first row. */
-STOPSET_API void stopset_swung(const StopsetSwing *swing, int64_t N, const double *link, const double *x0, const double *dx0, double dt,
-                               int parts, double *out, double *rate, double *acc);
-/* State at the first rows: from rest under `rest` (N,) [N m], `steps` steps of h [s] under the row's torque; not a number: bent. */
-STOPSET_API void stopset_led(const StopsetSwing *swing, int64_t N, const double *link, const double *rest, int64_t steps, double h,
-                             double *x0, double *dx0);
+/* Position, speed, acceleration, out (3, N), of a link against its motor under `link` (N,) [N m], from x0, dx0 at each first row. */
+STOPSET_API void stopset_swung(const StopsetSwing *swing, int64_t N, const double *link, const double *x0, const double *dx0, double *out);
+/* State at the first rows: from rest under `rest` (N,) [N m], `steps` parts under the row's torque; not a number: bent. */
+STOPSET_API void stopset_led(const StopsetSwing *swing, int64_t N, const double *link, const double *rest, int64_t steps, double *x0,
+                             double *dx0);
 
 /* ---- simulation/: the arm that models are tested on; it shares no code with what bounds stops. At most 16 joints. */
 
@@ -562,10 +640,16 @@ typedef struct {
     const double *brake, *delay, *rise;   /* (n,) [N m], [s], [s] after the cut at t = 0 */
 } StopsetSimStop;
 
-/* Positions and velocities (steps + 1, n) every dt [s] of a power-off stop; disturbance (pieces, n) [N m], constant over equal
- * pieces of the horizon. */
-STOPSET_API int stopset_sim_stop(const StopsetSimStop *stop, const double *q0, const double *v0, double dt, int64_t steps, int64_t pieces,
-                                 const double *disturbance, double *q, double *v);
+/* So many steps of dt [s]; disturbance (pieces, n) [N m], constant over equal pieces of them. */
+typedef struct {
+    double dt;
+    int64_t steps, pieces;
+    const double *disturbance;
+} StopsetSimTime;
+
+/* Positions and velocities (steps + 1, n) [rad, rad/s] of a power-off stop. */
+STOPSET_API int stopset_sim_stop(const StopsetSimStop *stop, const double *q0, const double *v0, const StopsetSimTime *time, double *q,
+                                 double *v);
 
 typedef struct {
     StopsetArm arm;
@@ -579,6 +663,7 @@ typedef struct {
 } StopsetSimArm;
 
 typedef struct {
+    int64_t ticks, steps_per_tick;
     double period;                              /* [s] of control and recording */
     const double *feedforward, *q, *dq;         /* (ticks, n) [N m, rad, rad/s] */
     const double *kp, *kd;                      /* (n,) [N m/rad, N m s/rad] */
@@ -587,10 +672,14 @@ typedef struct {
     double resolution;                          /* [rad] of the encoder */
 } StopsetSimScript;
 
-/* Logs (ticks, n): readings [rad], their speed [rad/s], reported torque [N m], temperature [degC], link angle and speed. */
-STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript *script, int64_t ticks, int64_t steps_per_tick,
-                                const double *heating, double ambient, double cooling, double *q, double *dq, double *tau, double *temp,
-                                double *link, double *speed);
+/* The joints' thermal balance. */
+typedef struct {
+    const double *heating;   /* (n,) [K/J] */
+    double ambient, cooling; /* [degC], [1/s] */
+} StopsetSimHeat;
+
+/* Logs (6, ticks, n): readings [rad], their speed [rad/s], reported torque [N m], temperature [degC], link angle and speed. */
+STOPSET_API int stopset_sim_run(const StopsetSimArm *arm, const StopsetSimScript *script, const StopsetSimHeat *heat, double *logs);
 
 /* ---- stops/: proofs of power-off stops; at most STOPSET_STOP_JOINTS joints; passes of claims per step */
 

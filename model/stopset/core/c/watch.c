@@ -46,14 +46,14 @@ static void carry(const StopsetMonitor *m, const StopsetCarried *c, int rows, co
         StopsetSamples here = *s;
         here.warm = m->warm[place];
         for (int direction = -1; direction <= 1; direction += 2) { /* at rest friction may take either direction */
-            stopset_law_signals(m->map, law, law->joint, rows, &here, rigid, direction, 1, signals);
+            stopset_law_signals(m->map, law, &(StopsetLook){rows, 1, direction}, &here, rigid, signals);
             for (int z = 0; z < 2; z++) {
                 for (int k = 0; k < rows; k++) signals[S_MEMORY][k] = z;
                 stopset_play(&law->torque, (const double(*)[ROWS])signals, rows, at[z]);
             }
             for (int k = 0; k < rows; k++) slope = larger(slope, absolute(at[1][k] - at[0][k]));
         }
-        stopset_law_signals(m->map, law, law->joint, rows, &here, rigid, 0.0, 1, signals);
+        stopset_law_signals(m->map, law, &(StopsetLook){rows, 1, 0.0}, &here, rigid, signals);
         for (int z = 0; z < 2; z++) {
             for (int k = 0; k < rows; k++) signals[S_MEMORY][k] = z;
             stopset_play(&c->rate, (const double(*)[ROWS])signals, rows, at[z]);
@@ -93,8 +93,8 @@ static void remembered(const StopsetMonitor *m, int rows, const StopsetSamples *
     for (int i = 0; i < n; i++) du[i] += half[i];
 }
 
-int stopset_sample_input(const StopsetMonitor *m, const double *q, const double *dq, const double *tau, const double *temp, double *ends,
-                         double *u, double *du) {
+int stopset_sample_input(const StopsetMonitor *m, const StopsetSamples *sample, double *ends, double *u, double *du) {
+    const double *q = sample->q, *dq = sample->dq, *tau = sample->tau, *temp = sample->temp;
     const int n = m->map->arm.n;
     double qs[5 * J], dqs[5 * J], taus[5 * J], temps[5 * J], memory[5 * STOPSET_CARRIED], us[2][5 * J];
     if (n < 1 || n > J || m->states > STOPSET_CARRIED) return STOPSET_TOO_MANY_JOINTS;
@@ -166,7 +166,8 @@ int stopset_look(StopsetCheck *w, int temp) {
     const int n = m->map->arm.n;
     const double *q = w->here, *lo = w->domain_lo, *hi = w->domain_hi;
     double none[J] = {0}, du[J];
-    const int code = stopset_sample_input(m, q, q + n, q + 2 * n, temp ? q + 3 * n : 0, w->ends, w->u, w->du);
+    const StopsetSamples sample = {.q = q, .dq = q + n, .tau = q + 2 * n, .temp = temp ? q + 3 * n : 0};
+    const int code = stopset_sample_input(m, &sample, w->ends, w->u, w->du);
     if (code) return code;
     for (int i = 0; i < n; i++) du[i] = w->du[i] + 1e-12; /* bus rounding is given the benefit */
     w->outside = stopset_beyond(n, q, lo, hi, m->quantum_q) + stopset_beyond(n, q + n, lo + n, hi + n, m->quantum_dq) +
@@ -181,7 +182,8 @@ int stopset_compare(StopsetCheck *w, const double *x) {
     double added[J];
     /* what rounding of the torque adds stands in the tube's limits already where inputs are plain */
     for (int i = 0; i < n; i++) added[i] = !m->plain ? w->du[n + i] : w->widen ? w->du[n + i] - m->quantum_tau[i] : 0.0;
-    w->live = stopset_advance(w->predictions, x, w->x, w->u + n, added, w->outside != 0, w->widen, w->seen);
+    const StopsetReading reading = {x, w->x, w->u + n, added};
+    w->live = stopset_advance(w->predictions, &reading, w->outside != 0, w->widen, w->seen);
     return w->live < 0 ? STOPSET_TOO_MANY_JOINTS : STOPSET_OK;
 }
 

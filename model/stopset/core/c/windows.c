@@ -72,7 +72,10 @@ static inline void extremes(int64_t N, const double *x, double *top, double *bot
 STOPSET_WIDE void stopset_extremes(int64_t N, const double *x, double *top, double *bottom) { extremes(N, x, top, bottom); }
 
 /* Windows of one joint a step on, e <- a e + r of position and speed, and the extremes of both. */
-static inline void advance(int64_t N, const double *a, const double *rq, const double *rd, double *eq, double *ed, Lanes *lq, Lanes *ld) {
+static inline void advance(int64_t N, const double *a, const double *const r[2], double *const e[2], Lanes lanes[2]) {
+    const double *rq = r[0], *rd = r[1];
+    double *eq = e[0], *ed = e[1];
+    Lanes *lq = lanes, *ld = lanes + 1;
     const Four a11 = {a[0], a[0], a[0], a[0]}, a12 = {a[1], a[1], a[1], a[1]}, a21 = {a[2], a[2], a[2], a[2]}, a22 = {a[3], a[3], a[3], a[3]};
     int64_t k = 0;
     begin(lq, rq[0] + a[0] * eq[0] + a[1] * ed[0]);
@@ -137,11 +140,12 @@ STOPSET_WIDE int stopset_widen_decoupled(const StopsetEnvelope *env, int n, cons
         memset(work, 0, 2 * (size_t)starts * sizeof *work);
         for (int64_t h = 1; h <= smaller(env->ages - 1, N); h++) {
             const int64_t live = smaller(starts, N - h + 1);
-            Lanes lq, ld;
-            advance(live, a + 4 * j, residual + j * N + h - 1, residual + (n + j) * N + h - 1, q, d, &lq, &ld);
-            finish(&lq, &top, &bottom);
+            const double *const r[2] = {residual + j * N + h - 1, residual + (n + j) * N + h - 1};
+            Lanes lanes[2];
+            advance(live, a + 4 * j, r, (double *const[2]){q, d}, lanes);
+            finish(lanes, &top, &bottom);
             widen(env, h, j, live, q, top, bottom);
-            finish(&ld, &top, &bottom);
+            finish(lanes + 1, &top, &bottom);
             widen(env, h, n + j, live, d, top, bottom);
         }
     }
@@ -153,9 +157,10 @@ static inline void add(int64_t N, double *restrict x, double weight, const doubl
     for (int64_t s = 0; s < N; s++) x[s] += weight * y[s];
 }
 
-STOPSET_WIDE int stopset_widen_coupled(const StopsetEnvelope *env, int n, const double *Ad, int k, const double *across, int64_t N,
-                                       const double *residual, int64_t starts, double *work) {
-    const int m = 2 * n;
+STOPSET_WIDE int stopset_widen_coupled(const StopsetEnvelope *env, const StopsetLooked *step, int64_t N, const double *residual,
+                                       int64_t starts, double *work) {
+    const double *Ad = step->Ad, *across = step->across;
+    const int n = step->n, k = step->k, m = 2 * n;
     double *e = work, *ahead = work + m * starts, *y = ahead + m * starts, top, bottom;
     memset(e, 0, (size_t)(m * starts) * sizeof *e);
     for (int64_t h = 1; h <= smaller(env->ages - 1, N); h++) {

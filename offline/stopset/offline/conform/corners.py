@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stopset.core.library import ffi, given, integers, lib, view
 from stopset.core.library import flags as flags_of
 from stopset.errors import NotConformant
+from stopset.reach.nonlinear import joint_struct
 from stopset.types import Array, Index
 
 BUDGET = 2_000_000  # simulated steps per pass while searching; the final check takes every start
@@ -29,7 +30,8 @@ Q_LO, V_LO, Q_HI, V_HI, NOISE_LO, NOISE_HI, U_LO, U_HI = range(8)
 def _sensitivity(q: float, v: float, w: Array, c: Array, dt: float, cut: int) -> tuple[float, float, Array]:
     """End (q, v) after ``w`` (h,) and its derivatives (2, 3) by start angle, start speed and a constant added to ``w``."""
     S, end_q, end_v = np.empty((2, 3)), ffi.new("double *", q), ffi.new("double *", v)
-    lib.stopset_corner_sensitivity(end_q, end_v, len(w), view(given(w)), len(c), view(given(c)), dt, cut, view(S))
+    joint, _held = joint_struct(c, dt, cut)
+    lib.stopset_corner_sensitivity(joint, end_q, end_v, len(w), view(given(w)), view(S))
     return end_q[0], end_v[0], S
 
 
@@ -87,20 +89,17 @@ class JointProblem:
         best = np.full((self.horizon + 1, 2), -np.inf)
         at = np.zeros((self.horizon + 1, 2, 2), np.int64)
         dq0, dv0, torque = self.corner(z, sign)
-        room, c = self.room(z, sign), given(self.gain * self.viscous)
-        corner = ffi.new("StopsetCorner *", (
-            len(c), view(c), self.dt, dq0, dv0, sign, RUNAWAY, self.cut, self.horizon, room.tolist(),
-        ))  # fmt: skip
+        room, (joint, _held) = self.room(z, sign), joint_struct(self.gain * self.viscous, self.dt, self.cut)
+        corner = ffi.new("StopsetCorner *", (joint[0], dq0, dv0, sign, RUNAWAY, self.horizon, room.tolist()))
         outside = []
         for k, (x, u, s) in enumerate(zip(self.x, self.u, which, strict=True)):
             flags = np.zeros(len(s), np.bool_)
             w = given(self.gain * (u + torque))
             if x.shape[1] != 2 or len(w) < len(x) - 1 or (len(s) and not 0 <= s.min() <= s.max() < len(x)):
                 raise ValueError(f"windows in states {x.shape} under {len(w)} inputs; expected (N, 2) and N, starts within")
-            lib.stopset_corner_excess(
-                corner, len(x), view(given(x)), view(w), len(s), integers(np.ascontiguousarray(s)), k, view(best), integers(at),
-                flags_of(flags),
-            )  # fmt: skip
+            readings, start = given(x), np.ascontiguousarray(s)
+            trial = ffi.new("StopsetTrial *", (k, len(x), view(readings), view(w), len(s), integers(start)))
+            lib.stopset_corner_excess(corner, trial, ffi.new("StopsetExcess *", (view(best), integers(at), flags_of(flags))))
             outside.append(flags)
         return Beyond(best, at, outside)
 

@@ -59,8 +59,6 @@ def update(Ad: Array, across: Array, residual: Array, starts: int, trial: int, w
     if worst.hi.shape[1] != 2 * k or Ad.shape != (2 * n, 2 * n):
         raise ValueError(f"steps {Ad.shape} along {across.shape} into an envelope of {worst.hi.shape[1]} columns")
     envelope = _envelope(trial, worst)
-    check(
-        lib.stopset_widen_coupled(
-            envelope, n, view(given(Ad)), k, view(given(across)), r.shape[1], view(r), starts, view(work)
-        )
-    )  # fmt: skip
+    held = given(Ad), given(across)
+    step = ffi.new("StopsetLooked *", (n, k, *(view(x) for x in held)))
+    check(lib.stopset_widen_coupled(envelope, step, r.shape[1], view(r), starts, view(work)))

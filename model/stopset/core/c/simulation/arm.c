@@ -231,24 +231,24 @@ static void control(const StopsetSimArm *a, const StopsetSimScript *s, int64_t k
     }
 }
 
-int stopset_sim_run(const StopsetSimArm *a, const StopsetSimScript *s, int64_t ticks, int64_t steps_per_tick, const double *heating,
-                    double ambient, double cooling, double *q, double *dq, double *tau, double *temp, double *link, double *speed) {
+int stopset_sim_run(const StopsetSimArm *a, const StopsetSimScript *s, const StopsetSimHeat *heat, double *logs) {
     const int n = a->arm.n;
-    double *const log[6] = {q, dq, tau, temp, link, speed};
+    const int64_t size = s->ticks * n;
+    double *const log[6] = {logs, logs + size, logs + 2 * size, logs + 3 * size, logs + 4 * size, logs + 5 * size};
     double cold[2 * SIM_JOINTS], torque[SIM_JOINTS] = {0};
     Work c;
     if (n < 1 || n > SIM_JOINTS || a->states < n || a->states > 2 * n) return STOPSET_TOO_MANY_JOINTS;
     memset(&c, 0, sizeof c);
     c.f.n = a->states;
     for (int i = 0; i < n; i++) memcpy(cold + 2 * i, a->table + i * COLUMNS + FC, 2 * sizeof *cold);
-    const double h = s->period / (double)steps_per_tick;
-    for (int64_t k = 0; k < ticks; k++) {
+    const double h = s->period / (double)s->steps_per_tick;
+    for (int64_t k = 0; k < s->ticks; k++) {
         control(a, s, k, cold, torque, log);
         const double since = k >= s->brake_at ? (double)(k - s->brake_at) * s->period : BRAKES_OPEN;
-        for (int64_t step = 0; step < steps_per_tick; step++) advance(a, &c, torque, s->walk + k * n, since + (double)step * h, h);
+        for (int64_t step = 0; step < s->steps_per_tick; step++) advance(a, &c, torque, s->walk + k * n, since + (double)step * h, h);
         for (int i = 0; i < n; i++) {
             const double *T = a->table + i * COLUMNS, v = absolute(a->v[a->motor[i]]), power = v * (T[FC] + T[FV] * v);
-            a->temp[i] += s->period * (heating[i] * power - cooling * (a->temp[i] - ambient));
+            a->temp[i] += s->period * (heat->heating[i] * power - heat->cooling * (a->temp[i] - heat->ambient));
             a->film[i] += s->period / T[FILM_TIME] * (T[FILM_HEAT] * power - a->film[i]);
         }
     }

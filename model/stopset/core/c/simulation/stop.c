@@ -43,8 +43,9 @@ static void set_up(const StopsetSimStop *s, const State *x, double t, double h, 
     for (int i = 0; i < n; i++) f->A[i * n + i] += 0.5 * h * s->viscous[i];
 }
 
-int stopset_sim_stop(const StopsetSimStop *s, const double *q0, const double *v0, double dt, int64_t steps, int64_t pieces,
-                     const double *disturbance, double *qs, double *vs) {
+int stopset_sim_stop(const StopsetSimStop *s, const double *q0, const double *v0, const StopsetSimTime *time, double *qs, double *vs) {
+    const double dt = time->dt;
+    const int64_t steps = time->steps;
     const int n = s->arm.n;
     const size_t row = (size_t)(n > 0 ? n : 0) * sizeof(double);
     State x;
@@ -58,7 +59,7 @@ int stopset_sim_stop(const StopsetSimStop *s, const double *q0, const double *v0
     memcpy(qs, q0, row);
     memcpy(vs, v0, row);
     for (int64_t k = 0; k < steps; k++) {
-        const double *u = disturbance + k * pieces / steps * n;
+        const double *u = time->disturbance + k * time->pieces / steps * n;
         double t = (double)k * dt, left = dt;
         int splits = 0;
         while (left > 0.0) {

@@ -64,22 +64,24 @@ class _Filter:
 
     def __call__(self, link: Array, x0: Array, dx0: Array) -> tuple[Array, Array, Array]:
         """Position, speed, acceleration (N,) of the swing that ``link`` [N m] drives, from its state at each trial's first row."""
-        out, rate, acc = np.empty((3, len(link)))
-        start, found = (view(given(x0)), view(given(dx0))), (view(out), view(rate), view(acc))
-        lib.stopset_swung(self._struct(), len(link), view(given(link)), *start, self.dt, SUBSTEPS, *found)  # by Newmark's rule
+        found = np.empty((3, len(link)))
+        lib.stopset_swung(
+            self._struct(), len(link), view(given(link)), view(given(x0)), view(given(dx0)), view(found)
+        )  # by Newmark's rule
+        out, rate, acc = found
         return out, rate, acc
 
     def at_rest(self, link: Array) -> tuple[Array, Array]:
         """(N,) state at each trial's first row where the trial began at rest; bent by the present torque where it began in motion."""
         h, (x0, dx0) = self.dt / SUBSTEPS, np.empty((2, len(link)))
         lead = round(self.lead / h)
-        lib.stopset_led(self._struct(), len(link), view(given(link)), view(given(self.rest)), lead, h, view(x0), view(dx0))
+        lib.stopset_led(self._struct(), len(link), view(given(link)), view(given(self.rest)), lead, view(x0), view(dx0))
         return x0, dx0
 
     def _struct(self) -> Any:
         if not self.M.shape == self.g.shape == self.first.shape:
             raise ValueError(f"inertia {self.M.shape} and stiffness {self.g.shape} for {self.first.shape} rows")
-        return ffi.new("StopsetSwing *", (view(self.M), view(self.g), flags(self.first), self.K, self.D))
+        return ffi.new("StopsetSwing *", (view(self.M), view(self.g), flags(self.first), self.K, self.D, self.dt, SUBSTEPS))
 
 
 def _true_swing(source: ArmSignals, joint: int, K: float, D: float, *, begun: bool = False) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.core.library import check, given, integers, lib, view
+from stopset.core.library import check, ffi, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
 from stopset.offline.diagnose import thresholds as limit
@@ -147,11 +147,9 @@ def _at(x: Array, centre: Index, h: Array) -> Array:
 
 def _weighted(x: Array, centre: Index, h: Array) -> Array:
     out = np.empty((len(centre), x.shape[1]))
-    check(
-        lib.stopset_weighted(
-            *x.shape, view(x), len(centre), integers(np.ascontiguousarray(centre, np.int64)), len(h), view(given(h)), view(out)
-        )
-    )
+    at, weights = np.ascontiguousarray(centre, np.int64), given(h)
+    kernel = ffi.new("StopsetKernel *", (len(h), view(weights)))
+    check(lib.stopset_weighted(*x.shape, view(x), len(at), integers(at), kernel, view(out)))
     return out
 
 

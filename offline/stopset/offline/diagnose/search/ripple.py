@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stopset.core.library import flags, given, lib, view
+from stopset.core.library import ffi, flags, given, lib, view
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -68,18 +68,21 @@ class Ripples:
 def _products(q: Array, fade: Array, r: Array, n: Array, step: float) -> tuple[Array, Array]:
     """Sums over the rows of ``r`` times sine and cosine, (R,) each, of ripples ``n`` (R,), evenly spaced by ``step``."""
     a, b, work = np.empty(len(n)), np.empty(len(n)), np.empty((2, len(n)))
-    lib.stopset_ripple_products(
-        len(r), view(given(q)), view(given(fade)), view(given(r)), len(n), n[0], step, view(work), view(a), view(b)
-    )
+    ripples, _held = _ripples(q, fade, n, step)
+    lib.stopset_ripple_products(ripples, view(given(r)), view(work), view(a), view(b))
     return a, b
+
+
+def _ripples(q: Array, fade: Array, n: Array, step: float) -> tuple[Any, list[Array]]:
+    """``StopsetRipples``, and what must live as long."""
+    held = [given(q), given(fade)]
+    return ffi.new("StopsetRipples *", (len(q), len(n), *(view(x) for x in held), n[0], step)), held
 
 
 def _power(q: Array, fade: Array, whiten: Whitening, n: Array, step: float) -> tuple[Array, Array, Array]:
     """Sums of squares and products of the whitened sines and cosines."""
     ss, cc, sc = np.empty((3, len(n)))
     work = np.empty((2 * whiten.sd.shape[1] + 2, len(n)))
-    lib.stopset_ripple_power(
-        whiten.struct(len(q)), len(q), view(given(q)), view(given(fade)), flags(whiten.start), len(n), n[0], step, view(work), view(ss), view(cc),
-        view(sc),
-    )  # fmt: skip
+    ripples, _held = _ripples(q, fade, n, step)
+    lib.stopset_ripple_power(whiten.struct(len(q)), ripples, flags(whiten.start), view(work), view(ss), view(cc), view(sc))
     return ss, cc, sc
