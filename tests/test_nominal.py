@@ -419,12 +419,14 @@ def test_the_nearest_possible_body_is_the_nearest() -> None:
         assert slope @ (other - theta) >= -1e-6 * cost
 
 
-def test_a_regressor_passes_scipys_filter_to_the_last_bit_and_lags_are_exact_for_cubics() -> None:
+def test_a_regressor_passes_scipys_filter_to_rounding_and_lags_are_exact_for_cubics() -> None:
     m = next(m for r in campaign(Truth(wrong_cad()[0])).trials for m in motions(r, Preprocessing()))
     rng = np.random.default_rng(1)
     for shape in ((len(m.t),), (len(m.t), 6), (len(m.t), 6, 3)):
         x = np.cumsum(rng.normal(size=shape), axis=0)
-        assert np.array_equal(m.smooth(x), sosfiltfilt(m.sos, x, axis=0, padtype="odd", padlen=min(len(x) - 1, 24 * ORDER)))
+        want = sosfiltfilt(m.sos, x, axis=0, padtype="odd", padlen=min(len(x) - 1, 24 * ORDER))
+        # the last bit with scipy 1.17; 1.18 sums in another order
+        assert np.abs(m.smooth(x) - want).max() <= 1e-12 * np.abs(want).max()
     for relative in np.concatenate([rng.uniform(0.001, 0.2, 200), rng.uniform(0.001, 0.1, 200).round(9)]).tolist():
         assert np.array_equal(low_pass(relative), butter(ORDER, 2 * relative, output="sos"))
     noise = rng.normal(size=(300, 7))

@@ -168,7 +168,7 @@ def test_every_answer_carries_a_policy_without_inline_script(served: ViewerPage 
 
 
 BODIES: dict[str, tuple[bytes, bytes]] = {
-    "nested": (b"[" * 4000, b"nested"),
+    "nested": (b"[" * 4000, b"a body that is "),  # too deep for Python 3.11's parser, cut for that of 3.13
     "no UTF-8": (b'{"effect": "\xff"}', b"no UTF-8"),
     "cut": (b'{"effect"', b"no JSON"),
     "a list": (b"[1]", b"expected an object"),
