@@ -145,7 +145,8 @@ static int holds(const StopAsk *a, Region *region, double fastest[SN]) {
     memcpy(before, region->friction, (size_t)(6 * n) * sizeof *before);
     region->known = 1;
     region->asked = 0;
-    return asked(a, region) && !memcmp(before, region->friction, (size_t)(6 * n) * sizeof *before) && inside(region, n, moved, fastest);
+    const int bounded = asked(a, region), same = !memcmp(before, region->friction, (size_t)(6 * n) * sizeof *before);
+    return bounded & same & inside(region, n, moved, fastest);
 }
 
 /* Whether laws look at most joints, as they do by the rigid body: then the guess mostly has to be mended. */

@@ -12,25 +12,6 @@
 
 const double stopset_rate_rounding = 1e-9; /* relative outward widening */
 
-/* Joint k into (or out of) the moving set: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement. */
-void stops_pivot(int n, double *A, int k, int into) {
-    const double d = 1.0 / A[k * n + k], s = into ? d : -d;
-    double row[SN], column[SN];
-    for (int i = 0; i < n; i++) {
-        row[i] = A[k * n + i];
-        column[i] = A[i * n + k];
-    }
-    for (int i = 0; i < n; i++) { /* row and column k too, which come anew below: no branch in the loops */
-        const double c = column[i] * d;
-        for (int j = 0; j < n; j++) A[i * n + j] -= c * row[j];
-    }
-    for (int i = 0; i < n; i++) {
-        A[i * n + k] = column[i] * s;
-        A[k * n + i] = row[i] * s;
-    }
-    A[k * n + k] = -d;
-}
-
 /* Least of x / (1 + e) over |e| <= d. */
 static inline void least_over(const Four *x, const Four *d, Four *out) {
     const Choice up = *x >= 0.0;

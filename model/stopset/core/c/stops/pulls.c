@@ -161,6 +161,25 @@ static void visit(const Along *A, int k, Exchange *x) {
     meet(x, joint, 0);
 }
 
+/* Joint k into the moving set: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement. */
+static void pivot(int n, double *A, int k) {
+    const double d = 1.0 / A[k * n + k];
+    double row[SN], column[SN];
+    for (int i = 0; i < n; i++) {
+        row[i] = A[k * n + i];
+        column[i] = A[i * n + k];
+    }
+    for (int i = 0; i < n; i++) { /* row and column k too, which come anew below: no branch in the loops */
+        const double c = column[i] * d;
+        for (int j = 0; j < n; j++) A[i * n + j] -= c * row[j];
+    }
+    for (int i = 0; i < n; i++) {
+        A[i * n + k] = column[i] * d;
+        A[k * n + i] = row[i] * d;
+    }
+    A[k * n + k] = -d;
+}
+
 /* Inverse W of M_c and dM/dq_k W at the expansion's pose; 0 where M_c is not surely positive definite. */
 typedef struct {
     double W[SN * SN], dMW[SN * SN * SN];
@@ -173,7 +192,7 @@ static int invert(const Near *near, Inverse *out) {
     memcpy(out->W, at->M, (size_t)(n * n) * sizeof *out->W);
     for (int k = 0; k < n; k++) {
         if (!(out->W[k * n + k] > 1e-6 * at->M[k * n + k])) return 0;
-        stops_pivot(n, out->W, k, 1);
+        pivot(n, out->W, k);
     }
     for (int k = 0; k < n * n; k++) out->W[k] = -out->W[k];
     for (int k = 0; k < n; k++)

@@ -94,8 +94,9 @@ void stops_box_terms(const Near *near, const Span *x, const Span *v, Local *out)
 /* The arm near a box's pose, `rotors`: with their half intervals beside the payload's, and what is so in the box. */
 void stops_look_at(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, int rotors, Near *out);
 void stops_span(int n, const double *lo, const double *hi, Span *out);
-void stops_pivot(int n, double *A, int k, int into);
-void stops_turn_over(int n, double *A, int k, int into); /* of the transposed matrix, stride SN; some rows beyond n are written too */
+/* Joint k into (or out of) the moving set, A transposed, stride SN: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement; some rows beyond n
+ * are written too. */
+void stops_turn_over(int n, double *A, int k, int into);
 /* A symmetric matrix and its slopes in all angles and in the payload, each times its half range: entries apart from the diagonal, (n, n) with
  * stride SN and the diagonal zero, then those on it; slopes by pair(i, j), LANES of them side by side. What is beyond n is zero. */
 enum { GROUPS = (SN + LANES) / LANES, SLOPES = GROUPS * LANES };
@@ -107,7 +108,7 @@ enum { LANE_BITS = (1 << LANES) - 1 };
 static inline double sum_of(const Four *x) { return ((*x)[0] + (*x)[1]) + ((*x)[2] + (*x)[3]); }
 static inline int groups_of(int n) { return (n + LANES) / LANES; }
 /* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.
- * Then: B is A with joint k inside as stops_pivot does it, slopes along. */
+ * Then: B is A with joint k in the moving set, slopes along. */
 void stops_slopes(const Near *near, const double *size, Along *A, double *push, double *beyond);
 void stops_pivot_along(int n, const Along *A, int k, Along *B);
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
