@@ -424,7 +424,7 @@ def test_recordings_of_another_robot_are_refused_everywhere(planar, tmp_path: Pa
         (["stops", "m.model.json", "--separation"], "v_h"),
         (["export-fmu", "m.model.json", "--out", "x.zip"], ".fmu"),
         (["plan", "--robot", "robot.urdf", "--out", "x", "--floor", "99"], "lower --floor"),
-        (["import", "here", "--out", "x.parquet"], "is a directory"),
+        (["import", "here", "--out", "x.parquet"], "is a folder without"),
         (["watch", "--connect", "nonsense", "--port", "0"], "nonsense"),
         (["watch", "--connect", "tcp/127.0.0.1:1", "--port", "0"], "127.0.0.1:1"),
     ],

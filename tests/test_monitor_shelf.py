@@ -118,7 +118,7 @@ def beside(cost: float) -> Beside:
 @pytest.mark.parametrize("cost", [0.005, 0.02])
 def test_new_motion_costs_its_share_of_a_core_and_no_more(cost: float) -> None:
     """The arm comes by no state twice; boxes reach as far as can be paid for, and still hold it."""
-    desk, (q, dq) = beside(cost), never_twice(prbt_like(), 20.0)
+    desk, (q, dq) = beside(cost), never_twice(prbt_like(), 20.0, 3)
     held = [desk.see(x, v) for x, v in zip(q, dq, strict=True)]
     spent = desk.spending["cpu_s"]
     assert 0.5 < spent <= 0.1 * len(q) * CYCLE + FULL + cost, f"{spent / (len(q) * CYCLE):.3f} of a core"
@@ -126,7 +126,7 @@ def test_new_motion_costs_its_share_of_a_core_and_no_more(cost: float) -> None:
 
 
 def test_what_was_saved_makes_the_bounds_of_motion_that_comes_again_tight() -> None:
-    desk, (q, dq) = beside(0.02), never_twice(prbt_like(), 4.0)
+    desk, (q, dq) = beside(0.02), never_twice(prbt_like(), 4.0, 3)
     angles, retained = [], []
     for _ in range(8):
         angles_now = []

@@ -93,7 +93,7 @@ ONE = '[[operators]]\nname = "A"\nkey = "smith.pub"\n'
         ('[operators]\nname = "A"\nkey = "smith.pub"\n', "each headed [[operators]]"), ('operators = "A"\n', "expected a list"),
         ('operators = ["A"]\n', "expected a table"), ("operators = []\n", "operators is empty"),
         (ONE.replace('"A"', '" "'), "1 to 200 letters"), (ONE.replace('"A"', f'"{"x" * 201}"'), "1 to 200 letters"),
-        (ONE.replace('"A"', '"A\\u001b[31m"'), "1 to 200 letters"), (ONE.replace('"A"', "3"), "expected str"),
+        (ONE.replace('"A"', '"A\\u001b[31m"'), "control characters"), (ONE.replace('"A"', "3"), "expected str"),
         (ONE + ONE.replace('"A"', '"A "').replace("smith", "stranger"), "each once"),
         (ONE + ONE.replace('"A"', '"B"'), "have one key"), (ONE + ONE.replace('"A"', '"B"').replace("smith", "copy"), "have one key"),
         (ONE.replace("smith", "nobody"), "no such file"), (ONE.replace("smith.pub", "smith"), "no public key"),
