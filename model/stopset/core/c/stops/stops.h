@@ -85,6 +85,7 @@ typedef struct {
  * lower; 6, 7 the same backward; 8, 9 forward hi and backward lo of a joint that has rested before. */
 enum { RATES = 10 };
 static inline int is_lower(int row) { return row == 0 || row == 2 || row == 5 || row == 7 || row == 9; }
+static inline int is_backward(int row) { return row == 2 || row == 3 || row == 6 || row == 7 || row == 9; }
 
 extern const StopsetParts stops_whole; /* nothing left out */
 
