@@ -22,7 +22,7 @@ static inline void least_over(const Four *x, const Four *d, Four *out) {
 /* Torque of each joint, any sign that is possible (r), and for each row of accelerations; which joints go forward and backward, and
  * which are visited only where they move. Flags are all bits or none. */
 typedef struct {
-    double r_lo[SN], r_hi[SN], of[RATES][SN], own[SN];
+    _Alignas(32) double r_lo[SN], r_hi[SN], of[RATES][SN], own[SN];
     int64_t goes[2][SN], moves[SN];
     unsigned some_go[2], some_move; /* the same flags, a bit a joint */
 } Torque;
@@ -120,10 +120,10 @@ STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
 
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
     const int n = at->n;
-    double A[SN * SN] = {0};
+    _Alignas(32) double A[SN * SN] = {0};
     unsigned inside = 0;
     int open[SN], count = 0;
-    Torque t;
+    _Alignas(32) Torque t;
     torques(at, s, &t);
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < SN; i++) out[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
