@@ -34,7 +34,14 @@ WIDTHS = {"desktop": 1250, "phone": 390}
 TALLEST = 6000  # [px] of a picture
 SCREEN = 1000  # [px] of a page that the documentation shows
 PATIENCE = 90.0  # [s] for a page to show what it is pictured for, on a busy machine
-REPORTS = ("inspection", "identification", "compare-first", "compare-second", "diagnosis", "added", "history", "stops", "plan")
+REPORTS = ("compare-first", "compare-second", "diagnosis", "history", "stops")
+# reports that the demonstration does not write: the command that does, its files within those of the demonstration, what it writes besides
+COMMANDS = {
+    "inspection": ("inspect changed/recording.parquet --robot changed/robot.urdf", ""),
+    "identification": ("identify --robot healthy/robot.urdf --data healthy/recording.parquet --accept-wide", "m.model.json"),
+    "added": ("add first.model.json spring --joint arm_4_joint --data changed/recording.parquet", "m.model.json"),
+    "plan": ("plan --robot healthy/robot.urdf", "plan"),
+}
 DRAWN = "[...document.querySelectorAll('.plot')].every(d => d.classList.contains('js-plotly-plot'))"
 HALL = 14  # arms of the fleet
 LEFT = "a measurement was outside its prediction (arm_4_joint: dq above its prediction of 0.032 s ago); reset with a name and a reason"
@@ -121,8 +128,18 @@ def running(*words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 def reports(camera: Camera, demo: Path, name: str) -> None:
     """A page that the demonstration wrote."""
-    if (demo / f"{name}.html").exists():
-        camera.take((demo / f"{name}.html").absolute().as_uri(), name)
+    camera.take((demo / f"{name}.html").absolute().as_uri(), name)
+
+
+def made(camera: Camera, demo: Path, name: str) -> None:
+    """A page of a command that the demonstration runs without one, or not at all."""
+    words, out = COMMANDS[name]
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / f"{name}.html"
+        besides = ["--out", str(Path(folder) / out)] if out else []
+        command = [sys.executable, "-m", "stopset.cli.main", *words.split(), *besides, "--report", str(page)]
+        subprocess.run(command, cwd=demo, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        camera.take(page.as_uri(), name)
 
 
 def live(camera: Camera, demo: Path, name: str, word: str) -> None:
@@ -217,6 +234,7 @@ def main() -> None:
     with chrome() as browser:
         camera = Camera(browser, asked.out, asked.docs)
         pages: dict[str, Callable[[], None]] = {name: partial(reports, camera, asked.demo, name) for name in REPORTS}
+        pages |= {name: partial(made, camera, asked.demo, name) for name in COMMANDS}
         pages["live-healthy"] = partial(live, camera, asked.demo, "healthy", "OK")
         pages["live-changed"] = partial(live, camera, asked.demo, "changed", "VIOLATION")
         pages["workbench"] = partial(workbench, camera, asked.demo)

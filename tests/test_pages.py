@@ -30,6 +30,11 @@ def drawn(browser: Any, page: Path) -> str:
         browser.get(page.as_uri())
         beyond = browser.execute_script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
         assert beyond <= 0, f"the page is {beyond} px wider than a screen of {width} px"
+        hidden = browser.execute_script(
+            "return [...document.querySelectorAll('.plot')].filter(d => d.querySelectorAll('.cartesianlayer .subplot').length === 1"
+            " && d.clientWidth > d.closest('.wide, figure, body').clientWidth + 1).length"
+        )
+        assert hidden == 0, f"of {hidden} pictures of one panel a part is out of sight on a screen of {width} px"
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     loaded = browser.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
     assert [x for x in loaded if not x.startswith(("data:", "blob:"))] == []
@@ -168,12 +173,27 @@ def test_words_stand_left_and_figures_right(browser, tmp_path: Path) -> None:  #
 
 
 def test_a_refused_effect_leaves_a_page_with_its_numbers(planar, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    folder, page = planar[0], tmp_path / "add.html"
-    words = [str(folder / "m.model.json"), "spring", "--joint", "axis_1", "--data", str(folder / "rec.parquet")]
-    code = main(["add", *words, "--out", str(tmp_path / "m2.model.json"), "--report", str(page)])
-    assert code == (0 if (tmp_path / "m2.model.json").exists() else 1)
+    folder, page, added = planar[0], tmp_path / "add.html", tmp_path / "m2.model.json"
+    words = [str(folder / "m.model.json"), "asymmetric_coulomb", "--joint", "axis_1", "--data", str(folder / "rec.parquet")]
+    assert main(["add", *words, "--out", str(added), "--report", str(page)]) == 1 and not added.exists()
     text = page.read_text()
-    assert ("spring:axis_1 is refused" if code else "spring:axis_1 is added") in text
+    assert (
+        "asymmetric_coulomb:axis_1 is refused: " in text
+        and load_model(folder / "m.model.json").sha256 in text
+        and "adds" not in text
+    )
+
+
+@pytest.mark.parametrize(("effect", "forced"), [("spring", False), ("asymmetric_coulomb", True)])
+def test_what_was_added_is_said_once_of_the_model_as_it_was_written(  # type: ignore[no-untyped-def]
+    planar, tmp_path: Path, effect: str, forced: bool
+) -> None:
+    folder, page, added = planar[0], tmp_path / "add.html", tmp_path / "m2.model.json"
+    words = [str(folder / "m.model.json"), effect, "--joint", "axis_1", "--data", str(folder / "rec.parquet")]
+    assert main(["add", *words, "--out", str(added), "--report", str(page), *["--force"] * forced]) == 0
+    text = page.read_text()
+    assert text.count(f"adds {effect}:axis_1") == 1 and load_model(added).sha256 in text and "not saved yet" not in text
+    assert ("forced in, though it does not lower the error" in text) == forced
 
 
 def test_recordings_made_here_come_with_their_inspection(tmp_path: Path) -> None:

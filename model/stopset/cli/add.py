@@ -95,15 +95,15 @@ def run(args: argparse.Namespace) -> int:
             "judged": [{"effect": j.name, "helps": j.helps, "before": j.before, "after": j.after, "enters": j.enters, "why": j.why}
                        for j in done.judged],
         })  # fmt: skip
+    saved = save_model(done.model, args.out) if done.model is not None else None
     if args.report:
         from stopset.offline.revise.page import tried
 
-        tried(done.model or model, done).save(args.report)
+        tried(saved or model, done, args.data).save(args.report)
         say(f"report {args.report}")
-    if done.model is None:
+    if saved is None:
         say(f"refused; nothing was written{'' if args.force else ' (--force adds what has numbers anyway)'}")
         return 1
-    saved = save_model(done.model, args.out)
     if args.keep and done.retained is not None:
         from stopset.offline.update.update import save_state
 

@@ -80,7 +80,7 @@ def _errors(out: Page, model: Model, found: Comparison) -> None:
     rows = by_failure(found)
     fails = failing(found)
     with out.beside():
-        out.figure(bars(found), least_width=420)
+        out.figure(bars(found))
         out.picture(
             drawn_arm(model, telling_pose(model), views=WIDE[:1], marked=fails),
             f"Where the model fails most: {fails[0]}."

@@ -33,7 +33,6 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
             out.figure(
                 ranking(found),
                 "Error of its joint before and after each effect. A shifted mass or inertia that a fit takes up hardly changes it.",
-                420,
             )
             out.picture(
                 drawn_arm(model, telling_pose(model), views=WIDE[:1], marked=joints),
@@ -144,7 +143,9 @@ def _partials(out: Page, found: Diagnosis) -> None:
         figure.update_yaxes(title_text=f"torque of {p.joint} [N m]", row=1, col=1)
         figure.update_layout(height=330)
         out.figure(
-            figure, f"{r.label}: what the whole model leaves plus the effect's own torque, and what it leaves; line: the effect."
+            figure,
+            f"{r.label}: what the whole model leaves plus the effect's own torque, and what it leaves; line: the effect.",
+            500,
         )
 
 

@@ -71,7 +71,7 @@ def _file(out: Page, r: Inspection) -> None:
             [(name, p["trials"], p["motions"], p["most_trials_per_motion"], p["seconds"]) for name, p in o["phases"].items()],
         )
     if o["trials"]:
-        out.figure(_ranges(r), "What each joint was driven through: lowest to highest value of each signal.")
+        out.figure(_ranges(r), "What each joint was driven through: lowest to highest value of each signal.", 560)
 
 
 def _ranges(r: Inspection) -> go.Figure:

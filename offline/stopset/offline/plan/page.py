@@ -93,5 +93,5 @@ def _motions(paths: Sequence[PlannedMotion], joints: Sequence[str], limit: np.nd
     figure.update_yaxes(title_text="q [rad]", row=1, col=1)
     figure.update_yaxes(title_text="dq / limit", range=[-1, 1], row=2, col=1)
     figure.update_xaxes(title_text="t [s]", row=2, col=1)
-    figure.update_layout(height=460)
+    figure.update_layout(height=460, legend={"orientation": "h", "y": -0.2})
     return figure

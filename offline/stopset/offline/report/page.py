@@ -143,8 +143,8 @@ class Page:
         """A drawing of our own making, as SVG text."""
         self._put("picture", svg=svg, caption=caption)
 
-    def figure(self, figure: go.Figure, caption: str = "", least_width: int = 560) -> None:
-        """A figure as wide as the page; on a screen narrower than ``least_width`` [px] it is scrolled, not squeezed."""
+    def figure(self, figure: go.Figure, caption: str = "", least_width: int = 350) -> None:
+        """A figure as wide as the page; on a screen narrower than ``least_width`` [px] (by itself: a phone) it is scrolled, not squeezed."""
         self._figures += 1
         margin = {"l": 60, "r": 20, "t": figure.layout.margin.t or 40, "b": 50}
         figure.update_layout(template="plotly_white", margin=margin, font={"family": "system-ui, sans-serif"})

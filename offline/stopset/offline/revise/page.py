@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,6 @@ from plotly.subplots import make_subplots
 from stopset.artifact import Model, Revision
 from stopset.offline.report.guarantee import guarantee
 from stopset.offline.report.page import COLOURS, Page
-from stopset.offline.revise.judge import Judged
 from stopset.offline.revise.revise import Revised
 
 FIGURES = (
@@ -29,31 +30,41 @@ FLOORS = {"held_out_torque_rmse": "torque_rmse_floor", "held_out_position_rmse":
 def page(model: Model) -> Page:
     """The report of ``stopset history``."""
     out = Page(f"{model.robot.name}: history of the model", model)
+    done = _last(model)
+    out.verdict(*_said(done) if done else ("First identification: nothing was added to this model yet.",))
+    if len(model.revisions) < 2:
+        out.next(
+            "`stopset compare` tells where this model fails, `stopset diagnose` which effect is missing, `stopset add` puts it in."
+        )
     _history(out, model)
     return out
 
 
-def tried(model: Model, done: Revised) -> Page:
-    """The report of ``stopset add``: what was tried on held-out data, then the history of ``model``."""
-    out = Page(f"{model.robot.name}: {', '.join(j.name for j in done.judged)} tried", model)
+def tried(model: Model, done: Revised, data: Sequence[str | Path] = ()) -> Page:
+    """The report of ``stopset add``: what became of each effect on held-out data; then the history of ``model``, which has those added."""
+    out = Page(f"{model.robot.name}: {', '.join(j.name for j in done.judged)}", model, data)
     for j in done.judged:
-        out.verdict(f"{j.name} {_outcome(j)}.", "bad" if j.why else "good")
-    out.text(f"Judged on {done.judged_on}.")
-    rows = [
-        (j.name, title, j.before[key], j.after[key])
-        for j in done.judged
-        for key, title in FIGURES
-        if key in j.before and key in j.after
-    ]
-    out.table(("effect", "figure", "before", "after"), rows)
+        if j.why:
+            out.verdict(f"{j.name} is refused: {j.why}.", "bad")
+        elif not j.helps:
+            out.verdict(f"{j.name} was forced in, though it does not lower the error on held-out data.", "bad")
+    revision = _last(model) if done.model is not None else None
+    if revision is not None:
+        out.verdict(*_said(revision))
+        out.next(
+            "`stopset compare` on a recording that was not used here tells whether it holds there too, `stopset diagnose` what is still "
+            "missing; `stopset stops` has the new bounds."
+        )
     _history(out, model)
+    with out.fold(f"Judged on {done.judged_on}"):
+        rows = [
+            (j.name, j.enters, title, j.before[key], j.after[key])
+            for j in done.judged
+            for key, title in FIGURES
+            if key in j.before and key in j.after
+        ]
+        out.table(("effect", "enters", "figure over the arm", "before", "after"), rows)
     return out
-
-
-def _outcome(j: Judged) -> str:
-    if j.why:
-        return f"is refused: {j.why}"
-    return f"is added ({j.enters})" + ("" if j.helps else ", though it does not lower the error on held-out data")
 
 
 def floors(model: Model) -> dict[str, dict[str, Any]]:
@@ -71,13 +82,7 @@ def floors(model: Model) -> dict[str, dict[str, Any]]:
 
 
 def _history(out: Page, model: Model) -> None:
-    """What the revisions did, at the joint where they did it; one picture of all figures; the table folded."""
-    kind, text = _said(model)
-    out.verdict(text, kind)
-    if len(model.revisions) < 2:
-        out.next(
-            "`stopset compare` tells where this model fails, `stopset diagnose` which effect is missing, `stopset add` puts it in."
-        )
+    """One picture of what all revisions did to every figure; the table folded."""
     if (figure := waterfalls(model)) is not None:
         out.figure(
             figure,
@@ -94,11 +99,13 @@ def _history(out: Page, model: Model) -> None:
     guarantee(out, model)
 
 
-def _said(model: Model) -> tuple[str, str]:
-    """Whether the last revision helped, in a sentence that names its own joint before the arm."""
-    r = next((r for r in reversed(model.revisions) if r.added), None)
-    if r is None:
-        return "", "First identification: nothing was added to this model yet."
+def _last(model: Model) -> Revision | None:
+    """The last revision that added something."""
+    return next((r for r in reversed(model.revisions) if r.added), None)
+
+
+def _said(r: Revision) -> tuple[str, str]:
+    """What a revision did, in a sentence that names its own joint before the arm; and whether both errors fell."""
     said = []
     for key, title in FIGURES:
         name = title.partition(" [")[0]
@@ -108,7 +115,8 @@ def _said(model: Model) -> tuple[str, str]:
         if (share := _change(r, key)) is not None:
             said.append(f"{name} over the arm {share}")
     better = all(r.after.get(k, 0.0) <= r.before.get(k, np.inf) for k, _ in FIGURES[:2])
-    return "good" if better else "", f"Revision {r.number}, {r.added}: {'; '.join(said[:4]) or 'no figure to compare'}."
+    what = f"Revision {r.number} adds {r.added}: {'; '.join(said[:4]) or 'no figure to compare'}."
+    return what, "good" if better else ""
 
 
 def own_joints(added: str) -> list[str]:

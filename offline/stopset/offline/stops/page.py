@@ -120,7 +120,9 @@ def _overview(page: Page, rows: Sequence[StopRow]) -> None:
     figure.update_yaxes(rangemode="tozero")
     figure.update_layout(height=400, legend={"orientation": "h", "y": -0.2}, margin={"t": 40})
     page.figure(
-        figure, f"Upper bounds, the worst of all axes and extensions; a line ends where one has no number.{_beyond(rows)}"
+        figure,
+        f"Upper bounds, the worst of all axes and extensions; a line ends where one has no number.{_beyond(rows)}",
+        560,
     )
 
 
@@ -181,7 +183,7 @@ def _pictures(page: Page, model: Model, rows: Sequence[StopRow], measured: Seque
     figure.update_layout(height=height, margin={"t": 70}, legend=legend)
     with page.fold(f"{NAMES[category]}: time and angle of every axis over speed"):
         page.figure(
-            figure, "Full extension; crosses are measured stops, of any pose and payload." if measured else "Full extension."
+            figure, "Full extension; crosses are measured stops, of any pose and payload." if measured else "Full extension.", 560
         )
 
 
