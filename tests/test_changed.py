@@ -190,6 +190,7 @@ def test_friction_that_came_to_grow_with_the_load_is_no_level_that_changed(pair:
     later = recorded(replace(s, cell=replace(s.cell, truth=replace(s.cell.truth, plant=plant), seed=LATER)))
     told = changes(pair.model, [r for r in later.trials if r.phase != "static"])
     assert [(c.effect, c.symbol, c.at) for c in told] == [("load_coulomb", k, joint) for k in ("k_lift", "k_lower")]
-    assert [c.after for c in told] == pytest.approx([load, load], rel=0.1)  # gravity's load: the simulated gear's is the whole torque
+    # by gravity's load; the simulated gear's is the whole torque
+    assert [c.after for c in told] == pytest.approx([load, load], rel=0.1)
     found = diagnose_model(pair.model, later)[0]
     assert [r.label for r in found.ranked] == [f"load_coulomb:{joint}"] and not found.changed  # told once
