@@ -19,6 +19,7 @@ typedef struct {
     int n;
     double R[9 * SN], o[3 * SN], z[3 * SN], s[3 * SN]; /* link frames; twists of the joints */
     double mass[SN], moment[3 * SN], inertia[9 * SN];  /* composite bodies from joint i on, about the base origin, in base axes */
+    Wrench own[SN], rate[SN][SN]; /* momentum of what joint j turns, at its unit speed; how that changes with the angle of joint k > 0 */
 } Bodies;
 
 static void composites(const double *pi, Bodies *b) {
@@ -49,6 +50,14 @@ static Wrench momentum_of(const Bodies *b, int k, const double *w, const double 
     for (int r = 0; r < 3; r++) f.l[r] += x[r];
     cross(w, b->moment + 3 * k, x);
     for (int r = 0; r < 3; r++) f.p[r] = b->mass[k] * v[r] + x[r];
+    return f;
+}
+
+/* The same of one that does not turn. */
+static Wrench pushed(const Bodies *b, int k, const double *v) {
+    Wrench f;
+    cross(b->moment + 3 * k, v, f.l);
+    for (int r = 0; r < 3; r++) f.p[r] = b->mass[k] * v[r];
     return f;
 }
 
@@ -95,19 +104,25 @@ static Wrench behind(const Bodies *b, int k, const double *w, const double *v) {
     return less(turned(b, k, &f), &along_with);
 }
 
-/* Second slopes of M: what turns about axis k gives its momentum's rate, and that picture turns about axis o <= k. */
+/* What turns about axis k gives a momentum's rate: joint j with it, or the bodies behind joint j's own turn. */
+static void momenta(Bodies *b) {
+    for (int j = 0; j < b->n; j++) {
+        const double *z = b->z + 3 * j, *s = b->s + 3 * j;
+        b->own[j] = momentum_of(b, j, z, s);
+        for (int k = 1; k < b->n; k++) b->rate[j][k] = k <= j ? turned(b, k, b->own + j) : behind(b, k, z, s);
+    }
+}
+
+/* Second slopes of M: the picture of a rate turns about axis o <= k. */
 static void bends(const Bodies *b, double *ddM) {
     const int n = b->n;
-    for (int j = 0; j < n; j++) {
-        const double *zj = b->z + 3 * j, *sj = b->s + 3 * j;
-        const Wrench own = momentum_of(b, j, zj, sj);
-        for (int k = 1; k < n; k++) {
-            const Wrench rate = k <= j ? turned(b, k, &own) : behind(b, k, zj, sj);
+    for (int j = 0; j < n; j++)
+        for (int k = 1; k < n; k++)
             for (int o = 1; o <= k; o++) {
-                Wrench y = turned(b, o, &rate);
+                Wrench y = turned(b, o, &b->rate[j][k]);
                 if (o > j) {
                     double w[3], v[3];
-                    moved(b, o, zj, sj, w, v);
+                    moved(b, o, b->z + 3 * j, b->s + 3 * j, w, v);
                     const Wrench along_with = behind(b, k, w, v);
                     y = less(y, &along_with);
                 }
@@ -116,8 +131,6 @@ static void bends(const Bodies *b, double *ddM) {
                     ddM[at + (k - i - 1) * m + o - i - 1] = ddM[at + (o - i - 1) * m + k - i - 1] = along(b, i, &y);
                 }
             }
-        }
-    }
 }
 
 /* Share of a pseudo-inertia's trace by which its least eigenvalue may be below zero: what rounding leaves of a point mass. */
@@ -164,28 +177,26 @@ static void inertia_roots(const Bodies *b, const double *pi, Expansion *E) {
 }
 
 static void slopes(Bodies *b, const double *pi, const double *gravity, const StopsetExpansion *out) {
-    double *M = out->M, *dM = out->dM, *g = out->g, *dg = out->dg, *Gamma = out->Gamma;
+    double *M = out->M, *dM = out->dM, *g = out->g, *dg = out->dg, *Gamma = out->Gamma, x[3 * SN];
     const int n = b->n;
-    const double rest[3] = {0, 0, 0};
-    double x[3];
+    Wrench weight[SN];
     composites(pi, b);
+    momenta(b);
     memset(dM, 0, (size_t)(n * n * n) * sizeof *dM);
+    for (int k = 0; k < n; k++) {
+        const Wrench own = pushed(b, k, gravity);
+        g[k] = -along(b, k, &own);
+        weight[k] = turned(b, k, &own);
+        cross(b->z + 3 * k, gravity, x + 3 * k);
+    }
     for (int j = 0; j < n; j++) {
-        const Wrench f = momentum_of(b, j, b->z + 3 * j, b->s + 3 * j), weight = momentum_of(b, j, rest, gravity);
-        for (int i = 0; i <= j; i++) M[i * n + j] = M[j * n + i] = along(b, i, &f);
-        g[j] = -along(b, j, &weight);
-        for (int k = 1; k <= j; k++) { /* the arm from k on turns, with joint j in it: its momentum turns along */
-            const Wrench t = turned(b, k, &f);
-            for (int i = 0; i < k; i++) dM[(i * n + j) * n + k] = dM[(j * n + i) * n + k] = along(b, i, &t);
-        }
+        for (int i = 0; i <= j; i++) M[i * n + j] = M[j * n + i] = along(b, i, b->own + j);
+        for (int k = 1; k < n; k++)
+            for (int i = 0; i < k && i <= j; i++) dM[(i * n + j) * n + k] = dM[(j * n + i) * n + k] = along(b, i, &b->rate[j][k]);
         for (int k = 0; k < n; k++) {
-            cross(b->z + 3 * k, gravity, x);
-            const Wrench w = momentum_of(b, j > k ? j : k, rest, x);
+            const Wrench w = pushed(b, j > k ? j : k, x + 3 * k);
             dg[j * n + k] = along(b, j, &w);
-            if (k <= j) continue;
-            const Wrench own = momentum_of(b, k, rest, gravity), t = turned(b, k, &own), d = behind(b, k, b->z + 3 * j, b->s + 3 * j);
-            dg[j * n + k] -= along(b, j, &t);
-            for (int i = 0; i <= j; i++) dM[(i * n + j) * n + k] = dM[(j * n + i) * n + k] = along(b, i, &d);
+            if (k > j) dg[j * n + k] -= along(b, j, weight + k);
         }
     }
     for (int i = 0; i < n; i++)

@@ -97,17 +97,14 @@ static void inertia(const Near *near, const double *mid, const double *rad, cons
                     rest = least(rest, turn + bent);
                 }
                 m += dM[k] * mid[k];
-                p += dMp[k] * mid[k];
                 r += size_of(dM[k]) * rad[k] + parts->bend * bow * far[k];
-                pr += size_of(dMp[k]) * rad[k];
+                if (E->loaded) {
+                    p += dMp[k] * mid[k];
+                    pr += size_of(dMp[k]) * rad[k];
+                }
                 out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = parts->bend * turn;
                 out->turn_of[(j * n + k) * n + i] = out->turn_of[(i * n + k) * n + j] = parts->bend * turn;
                 out->rest[(i * n + j) * n + k] = out->rest[(j * n + i) * n + k] = rest;
-            }
-            for (int k = 0; k <= i; k++) {
-                out->turn[(i * n + j) * n + k] = out->turn[(j * n + i) * n + k] = 0.0;
-                out->turn_of[(j * n + k) * n + i] = out->turn_of[(i * n + k) * n + j] = 0.0;
-                out->rest[(i * n + j) * n + k] = out->rest[(j * n + i) * n + k] = 0.0;
             }
             const double scale = i != j ? parts->coupling : 1.0;
             out->M[i * n + j] = out->M[j * n + i] = scale * m;
@@ -167,6 +164,14 @@ STOPSET_WIDE static void velocity_terms(const Expansion *E, const Local *at, con
     }
 }
 
+void stops_start_local(int n, Local *out) {
+    const size_t size = (size_t)(n * n * n) * sizeof *out->turn;
+    out->n = n;
+    memset(out->turn, 0, size);
+    memset(out->turn_of, 0, size);
+    memset(out->rest, 0, size);
+}
+
 void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out) {
     const Expansion *E = &near->E;
     const StopsetParts *parts = near->parts;
@@ -175,7 +180,6 @@ void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out)
     double mid[SN], rad[SN], far[SN], vc[SN], vr[SN], va[SN];
     Products speeds;
     Velocity v;
-    out->n = n;
     for (int k = 0; k < n; k++) {
         mid[k] = 0.5 * (x_lo[k] + x_hi[k]);
         rad[k] = 0.5 * (x_hi[k] - x_lo[k]);
@@ -221,6 +225,7 @@ void stops_look_at(const StopsetPlant *plant, const StopsetBox *box, const Stops
     out->parts = parts;
     stops_expand(&plant->arm, plant->pi_half, plant->rotor, box->q, &out->E);
     for (int i = 0; rotors && i < n; i++) out->E.Mp[i * (n + 1)] += plant->rotor_half[i];
+    stops_start_local(n, &out->at);
     stops_span(n, box->x_lo, box->x_hi, &x);
     if (box->v_lo) stops_span(n, box->v_lo, box->v_hi, &v);
     stops_box_terms(out, &x, &v, &out->at);

@@ -63,6 +63,7 @@ void stops_start_momentum(const Near *near, const Span *x, const Span *v, const 
     const Local *at = &m->start;
     const int n = near->E.n;
     memset(m, 0, offsetof(Momentum, start));
+    stops_start_local(n, &m->start);
     stops_box_terms(near, x, v, &m->start);
     m->v0 = *v;
     for (int i = 0; i < n; i++) {
@@ -155,7 +156,7 @@ void stops_carry_on(const Near *near, Momentum *m, const Step *s, const Bands *b
 /* What the subsets share while they are visited. M has stride SN. */
 typedef struct {
     int n;
-    double Q_lo[SN], Q_hi[SN], l_lo[SN], l_hi[SN], best_lo[SN], best_hi[SN], v0_lo[SN], v0_hi[SN], first_lo[SN], first_hi[SN], M[SN * SN];
+    _Alignas(32) double Q_lo[SN], Q_hi[SN], l_lo[SN], l_hi[SN], best_lo[SN], best_hi[SN], v0_lo[SN], v0_hi[SN], first_lo[SN], first_hi[SN], M[SN * SN];
     unsigned inside, seen_in, seen_out; /* a bit a joint */
 } Search;
 
@@ -233,7 +234,7 @@ static void begin_search(const Bands *b, const Momentum *m, const Local *at, con
 /* Bands cut at a knot by the momenta; lo, hi: their hull before, and after. */
 void stops_tighten(Bands *b, const Momentum *m, const Local *at, double *lo, double *hi) {
     const int n = at->n;
-    double A[SN * SN];
+    _Alignas(32) double A[SN * SN];
     int open[SN], count = 0, members = 0;
     Search x;
     begin_search(b, m, at, lo, hi, &x);

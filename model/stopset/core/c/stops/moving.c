@@ -19,12 +19,12 @@ static inline void least_over(const Four *x, const Four *d, Four *out) {
     *out = CHOSEN(up | (*d < 1.0), *x / by, none);
 }
 
-/* Torque of each joint, any sign that is possible (r), and for each row of accelerations; which joints have rows forward and backward, and
+/* Torque of each joint, any sign that is possible (r), and for each row of accelerations; which joints go forward and backward, and
  * which are visited only where they move. Flags are all bits or none. */
 typedef struct {
-    double r_lo[SN], r_hi[SN], of[RATES][SN], own[SN];
-    int64_t forward[SN], backward[SN], moves[SN];
-    unsigned some_forward, some_backward, some_move; /* the same flags, a bit a joint */
+    _Alignas(32) double r_lo[SN], r_hi[SN], of[RATES][SN], own[SN];
+    int64_t goes[2][SN], moves[SN];
+    unsigned some_go[2], some_move; /* the same flags, a bit a joint */
 } Torque;
 
 static void torques(const Local *at, const Step *s, Torque *t) {
@@ -43,20 +43,19 @@ static void torques(const Local *at, const Step *s, Torque *t) {
         t->r_lo[i] = (s->plus[i] || !s->minus[i] ? f_lo : b_lo) - own;
         t->r_hi[i] = (s->minus[i] ? b_hi : f_hi) + own;
         t->own[i] = at->dM[i * n + i];
-        t->forward[i] = -(int64_t)(s->zero[i] || s->plus[i]);
-        t->backward[i] = -(int64_t)(s->zero[i] || s->minus[i]);
+        t->goes[0][i] = -(int64_t)(s->zero[i] || s->plus[i]);
+        t->goes[1][i] = -(int64_t)(s->zero[i] || s->minus[i]);
         t->moves[i] = -(int64_t)(s->plus[i] || s->minus[i]);
-        t->some_forward |= (unsigned)(t->forward[i] & 1) << i;
-        t->some_backward |= (unsigned)(t->backward[i] & 1) << i;
+        for (int backward = 0; backward < 2; backward++) t->some_go[backward] |= (unsigned)(t->goes[backward][i] & 1) << i;
         t->some_move |= (unsigned)(t->moves[i] & 1) << i;
     }
 }
 
-/* Answers of the joints from i on, others' part `rest` of them apart: w per torque, their own inertia's `spread` and who is `flagged`. */
+/* Answers of the joints from i on, others' part `rest` of them apart: w per torque, their own inertia's `spread` and who is in use. */
 typedef struct {
     int i;
     Four lo, hi, w, spread;
-    Choice flagged;
+    Choice used;
 } Answers;
 
 /* One row of the hull grows by them. */
@@ -65,16 +64,16 @@ static inline void widen(const Torque *t, const Answers *a, int row, double out[
     Four found, *hull = (Four *)(out[row] + a->i);
     least_over(&x, &a->spread, &found);
     if (!is_lower(row)) found = -found;
-    const Choice wider = a->flagged & (is_lower(row) ? found < *hull : found > *hull);
-    *hull = CHOSEN(wider, found, *hull);
+    const Choice flagged = a->used & *(const Choice *)(t->goes[is_backward(row)] + a->i);
+    *hull = CHOSEN(flagged & (is_lower(row) ? found < *hull : found > *hull), found, *hull);
 }
 
 /* The hull grows by the accelerations when exactly the joints `inside`, a bit each, move. A: transposed, stride SN. */
 STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, unsigned inside, double out[RATES][SN]) {
     const unsigned answering = inside | ~t->some_move;
     for (int i = 0; i < n; i += LANES) {
-        const unsigned forward = (answering & t->some_forward) >> i & LANE_BITS, backward = (answering & t->some_backward) >> i & LANE_BITS;
-        if (!(forward | backward)) continue;
+        const unsigned go[2] = {(answering & t->some_go[0]) >> i & LANE_BITS, (answering & t->some_go[1]) >> i & LANE_BITS};
+        if (!(go[0] | go[1])) continue;
         const Choice place = LANES_FROM(i), here = IN_LANES(inside >> i), used = here | ~*(const Choice *)(t->moves + i);
         const Four own = {A[i * (SN + 1)], A[(i + 1) * (SN + 1)], A[(i + 2) * (SN + 1)], A[(i + 3) * (SN + 1)]};
         Four lo = {0}, hi = {0};
@@ -90,22 +89,9 @@ STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, unsigned
         lo = CHOSEN(here, lo, lo * w);
         hi = CHOSEN(here, hi, hi * w);
         /* the joint's own inertia M_ii +- dM_ii scales its answer: a_i (1 + w d) = the rest, |d| <= dM_ii */
-        Answers a = {i, lo, hi, w, w * *(const Four *)(t->own + i), used & *(const Choice *)(t->forward + i)};
-        if (forward) {
-            widen(t, &a, 0, out);
-            widen(t, &a, 1, out);
-            widen(t, &a, 4, out);
-            widen(t, &a, 5, out);
-            widen(t, &a, 8, out);
-        }
-        a.flagged = used & *(const Choice *)(t->backward + i);
-        if (backward) {
-            widen(t, &a, 2, out);
-            widen(t, &a, 3, out);
-            widen(t, &a, 6, out);
-            widen(t, &a, 7, out);
-            widen(t, &a, 9, out);
-        }
+        const Answers a = {i, lo, hi, w, w * *(const Four *)(t->own + i), used};
+        for (int row = 0; row < RATES; row++)
+            if (go[is_backward(row)]) widen(t, &a, row, out);
     }
 }
 
@@ -134,10 +120,10 @@ STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
 
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
     const int n = at->n;
-    double A[SN * SN] = {0};
+    _Alignas(32) double A[SN * SN] = {0};
     unsigned inside = 0;
     int open[SN], count = 0;
-    Torque t;
+    _Alignas(32) Torque t;
     torques(at, s, &t);
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < SN; i++) out[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;

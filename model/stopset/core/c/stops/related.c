@@ -107,8 +107,7 @@ STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
     if (!(w > slopes.own)) x->fits = 0; /* else not even the sign of its own answer is known */
     spread = x->shared * spread + stopset_rate_rounding * scale;
     for (int rate = 0; rate < RATES; rate++) {
-        const int backward = rate == 2 || rate == 3 || rate == 6 || rate == 7 || rate == 9;
-        if (!x->s->zero[i] && !(backward ? x->s->minus[i] : x->s->plus[i])) continue;
+        if (!x->s->zero[i] && !(is_backward(rate) ? x->s->minus[i] : x->s->plus[i])) continue;
         const double f = x->own[rate][i], away = spread + slopes.own * size_of(f - x->r_mid[i]);
         if (is_lower(rate))
             x->out[rate][i] = least(x->out[rate][i], lo + w * f - away);

@@ -85,11 +85,14 @@ typedef struct {
  * lower; 6, 7 the same backward; 8, 9 forward hi and backward lo of a joint that has rested before. */
 enum { RATES = 10 };
 static inline int is_lower(int row) { return row == 0 || row == 2 || row == 5 || row == 7 || row == 9; }
+static inline int is_backward(int row) { return row == 2 || row == 3 || row == 6 || row == 7 || row == 9; }
 
 extern const StopsetParts stops_whole; /* nothing left out */
 
 void stops_expand(const StopsetArm *arm, const double *pi_half, const double *rotor, const double *q, Expansion *E);
-/* For angles E.q + x and speeds v. */
+/* The inertia does not change with the angles of joints up to the first of two: there `turn` and `rest` are zero, once and for all. */
+void stops_start_local(int n, Local *out);
+/* For angles E.q + x and speeds v, into what was started. */
 void stops_box_terms(const Near *near, const Span *x, const Span *v, Local *out);
 /* The arm near a box's pose, `rotors`: with their half intervals beside the payload's, and what is so in the box. */
 void stops_look_at(const StopsetPlant *plant, const StopsetBox *box, const StopsetParts *parts, int rotors, Near *out);

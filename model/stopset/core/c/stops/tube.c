@@ -23,7 +23,7 @@ static const double worth = 0.9; /* share of the energy's range of a speed above
 typedef struct {
     const StopsetTube *tube;
     int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
-    double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
+    _Alignas(32) double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
     Span q, farthest; /* angles at the cut; displacements from now on, by energy */
     Span w, x, v;     /* on the step: claimed speeds, angles from the pose, speeds under its lines */
     Span momenta, cap; /* of all joints at the knot; of speeds on the step */
@@ -416,7 +416,7 @@ static void begin(March *m, const StopsetBox *box, const double *middle) {
         m->cap.lo[i] = -STOPS_INF;
         m->farthest.lo[i] = -STOPS_INF;
     }
-    m->near.at.n = n;
+    stops_start_local(n, &m->near.at);
     stops_start_bands(n, &v, &m->b);
     m->end = m->b;
     stops_start_momentum(&m->near, &x, &v, &m->b, &m->momentum);
