@@ -111,8 +111,10 @@ int main(int argc, char **argv) {
                 if (!saved || fmi3SerializedFMUStateSize(c, saved, &size) != fmi3OK) break;
                 unsigned char *bytes = malloc(size);
                 got = fmi3SerializeFMUState(c, saved, bytes, below(3) ? size : size / 2);
-                if (got == fmi3OK && !below(2)) bytes[below(64)] ^= 0x40; /* in the head: whose state it is */
+                const int damaged = got == fmi3OK && !below(2);
+                if (damaged) bytes[below(below(2) ? 80 : (unsigned)size)] ^= 1u << below(8); /* in the head: whose state it is */
                 if (got == fmi3OK) got = fmi3DeserializeFMUState(c, bytes, size, &saved);
+                if (damaged && got == fmi3OK) BROKEN("a damaged state was taken");
                 free(bytes);
                 break;
             }

@@ -33,8 +33,10 @@ static fmi2Status serialized(fmi2Component c) {
     if (!saved || fmi2SerializedFMUstateSize(c, saved, &size) != fmi2OK) return fmi2OK;
     fmi2Byte *bytes = malloc(size);
     fmi2Status got = fmi2SerializeFMUstate(c, saved, bytes, below(3) ? size : size / 2);
-    if (got == fmi2OK && !below(2)) bytes[below(64)] ^= 0x40; /* in the head: whose state it is */
+    const int damaged = got == fmi2OK && !below(2);
+    if (damaged) bytes[below(below(2) ? 80 : (unsigned)size)] ^= 1u << below(8); /* in the head: whose state it is */
     if (got == fmi2OK) got = fmi2DeSerializeFMUstate(c, bytes, size, &saved);
+    if (damaged && got == fmi2OK) printf("a damaged state was taken\n"), exit(1);
     free(bytes);
     return got;
 }

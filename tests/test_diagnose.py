@@ -12,6 +12,7 @@ import pytest
 from stopset.effects import Effect, get
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns import elasticity as swing
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -25,6 +26,7 @@ from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
 from stopset.offline.diagnose.search.predicts import judged
+from stopset.offline.diagnose.search.refine import refine, refined
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
 from stopset.offline.diagnose.thresholds import BEGINNINGS, QUIET, SCATTERS, SENSORS, THRESHOLD, WANDER
 from stopset.recording import Recording, Recordings, read_recordings
@@ -244,6 +246,20 @@ def test_a_lag_that_is_not_there_has_no_evidence_although_a_free_coefficient_wou
         p = project(G, 0, now.nuisance, c.cols, now.precision(hyper), now.mean)
         naive.append(gain(p.S, p.s, 1.0 / c.sd**2)[0])
     assert max(naive) > 5 * THRESHOLD
+
+
+def test_a_lag_that_refining_leaves_nothing_of_takes_nobodys_place(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lags of the grid look likely at every joint; at a six-joint arm they filled all places, and a load of 54 g was never asked."""
+    now = Hypothesis(engine)
+    hyper, _ = now.fit()
+    ranked = scores(now, engine.add_all(wanted(engine)), hyper)
+    lags = [s for s in ranked if s.candidate.effect.name == "delay" and refine(now, s, hyper).score == 0.0]
+    lag = dataclasses.replace(lags[0], score=2 * THRESHOLD)  # as likely as that arm's were
+    others = [s for s in ranked if s.candidate.effect.name != "delay"]
+    monkeypatch.setattr(limit, "CONTENDERS", 1)
+    assert [s.candidate.key for s in refined(now, [lag, *others], hyper)] == [
+        s.candidate.key for s in refined(now, others, hyper)
+    ]
 
 
 @pytest.mark.parametrize("samples", [-4, 3, 9])

@@ -16,7 +16,7 @@ import pytest
 from stopset.artifact import Model
 from stopset.types import Array
 from test_fmu import HERE, columns, exported, names, simulate
-from test_fmu_fmusim import ASKED, CASES, FMUSIM, STEP, STEPS, asked_rows, by_fmusim
+from test_fmu_fmusim import ASKED, CASES, FMUSIM, STEP, STEPS, Drive, by_fmusim
 
 pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
@@ -27,16 +27,34 @@ TOLERANCE = 1e-9  # relative and absolute, of both solvers
 AGREE = 1e-6  # [rad, rad/s] of the whole run; 1.5e-7 was seen
 
 
-def co_simulated(model: Model, fmu: Path, request: int) -> Array:
+def co_simulated(model: Model, fmu: Path, drive: Drive) -> Array:
     """(STEPS + 1, 2n) [rad, rad/s] with inputs held from each row on."""
-    t, tau, stop = zip(*asked_rows(model.n, request), strict=True)
-    given = dict(zip(names(model, "tau"), np.array(tau).T, strict=True)) | {"stop": np.array(stop)}
-    out = simulate(model, fmu, np.array(t), given, names(model, "q", "dq"))
+    given = dict(zip(names(model, "tau"), drive.torques.T, strict=True)) | {"stop": drive.stop}
+    out = simulate(model, fmu, STEP * np.arange(STEPS + 1), given, names(model, "q", "dq"))
     return columns(out, model, "q", "dq")
 
 
 def last_at_each_step(time: Array, x: Array) -> Array:
     return x[[np.flatnonzero(np.abs(time - k * STEP) < 1e-9)[-1] for k in range(STEPS + 1)]]
+
+
+def exchanged_by_fmpy(model: Model, fmu: Path, drive: Drive) -> Array:
+    """(STEPS + 1, 2n) [rad, rad/s] of its CVODE."""
+    twice = np.repeat(STEP * np.arange(STEPS + 1), 2)[1:]  # the end of one step and the begin of the next
+    held = {k: np.repeat(x, 2)[:-1] for k, x in zip([*names(model, "tau"), "stop"], [*drive.torques.T, drive.stop], strict=True)}
+    out = simulate(
+        model, fmu, twice, held, names(model, "q", "dq"), kind="ModelExchange", output_interval=STEP, relative_tolerance=TOLERANCE
+    )  # fmt: skip
+    return last_at_each_step(out["time"], columns(out, model, "q", "dq"))
+
+
+def exchanged_by_fmusim(model: Model, fmu: Path, drive: Drive) -> Array:
+    """(STEPS + 1, 2n) [rad, rad/s] of its CVODE."""
+    watched = names(model, "q", "dq")
+    options = ["--interface-type", "me", "--solver", "cvode", "--tolerance", repr(TOLERANCE)]
+    rows = by_fmusim(fmu, model, drive, watched, *options, jumps=True)
+    got = np.array([[float(r[n]) for n in ["time", *watched]] for r in rows])
+    return last_at_each_step(got[:, 0], got[:, 1:])
 
 
 def holds(model: Model, wanted: Array, got: Array) -> None:
@@ -48,26 +66,16 @@ def holds(model: Model, wanted: Array, got: Array) -> None:
 
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", CASES)
-def test_fmpy_s_solver_follows_a_moving_stop(exported: Any, name: str, fmi: int) -> None:
-    model, request = CASES[name].model, CASES[name].request
+def test_fmpy_s_solver_follows_a_moving_stop(exported: Any, name: str, fmi: int, own_effect: object) -> None:
+    model, drive = CASES[name].made()
     fmu = exported(model, f"exchange {name}", fmi)
-    wanted = co_simulated(model, fmu, request)
-    t, tau, stop = (np.array(x) for x in zip(*asked_rows(model.n, request), strict=True))
-    twice = np.repeat(t, 2)[1:]  # the end of one step and the begin of the next
-    held = {k: np.repeat(x, 2)[:-1] for k, x in zip([*names(model, "tau"), "stop"], [*tau.T, stop], strict=True)}
-    out = simulate(
-        model, fmu, twice, held, names(model, "q", "dq"), kind="ModelExchange", output_interval=STEP, relative_tolerance=TOLERANCE
-    )  # fmt: skip
-    holds(model, wanted, last_at_each_step(out["time"], columns(out, model, "q", "dq")))
+    holds(model, co_simulated(model, fmu, drive), exchanged_by_fmpy(model, fmu, drive))
 
 
 @pytest.mark.skipif(FMUSIM is None, reason="fmusim is not here; build it as docs/fmu.md says and set STOPSET_FMUSIM")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", CASES)
-def test_fmusim_s_solver_follows_a_moving_stop(exported: Any, name: str, fmi: int) -> None:
-    model, request = CASES[name].model, CASES[name].request
-    fmu, watched = exported(model, f"exchange {name}", fmi), names(model, "q", "dq")
-    options = ["--interface-type", "me", "--solver", "cvode", "--tolerance", repr(TOLERANCE)]
-    rows = by_fmusim(fmu, model, request, watched, *options, jumps=True)
-    got = np.array([[float(r[n]) for n in ["time", *watched]] for r in rows])
-    holds(model, co_simulated(model, fmu, request), last_at_each_step(got[:, 0], got[:, 1:]))
+def test_fmusim_s_solver_follows_a_moving_stop(exported: Any, name: str, fmi: int, own_effect: object) -> None:
+    model, drive = CASES[name].made()
+    fmu = exported(model, f"exchange {name}", fmi)
+    holds(model, co_simulated(model, fmu, drive), exchanged_by_fmusim(model, fmu, drive))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fmu_models import arm_model
 from fmu_unit import unit
-from stopset.artifact import save_model
+from stopset.artifact import Model, save_model
 from stopset.artifact.abstraction import Polynomial
 from stopset.cli.main import main
 from stopset.effects import get
@@ -32,7 +32,7 @@ from stopset.fmu.description import base_unit, build_description
 from stopset.fmu.sources import fmi_headers
 from stopset.fmu.variables import variables
 from stopset.reach.predict import predict
-from test_fmu import AGREE, DT, HERE, friction
+from test_fmu import AGREE, DT, EFFECTS, HERE, friction
 from test_fmu_stops import braked
 
 pytest.importorskip("fmpy")
@@ -40,6 +40,8 @@ pytest.importorskip("ziglang")
 pytestmark = pytest.mark.skipif(HERE is None, reason="no FMU binaries for this platform")
 INCLUDE = fmi_headers()
 STEPS = 1000
+ASKS_THE_PROCESSOR = b"\x0f\x01\xd0"  # the instruction xgetbv, which nothing else in a unit has
+NAN = "7ff8000000000000"  # of fmu_player.c
 
 
 @pytest.fixture(scope="module")
@@ -67,24 +69,38 @@ RUNNERS = {
 }
 
 
+def needed(runner: list[str]) -> list[str]:
+    if runner and not shutil.which(runner[0]):
+        pytest.skip(f"{runner[0]} is not installed")
+    return runner
+
+
+def runs(platform: str) -> list[str]:
+    """What programs of a platform are called with here; skips where there is nothing."""
+    if "windows" in platform and not os.environ.get("STOPSET_TEST_WINDOWS"):
+        pytest.skip("building a Windows program takes minutes the first time; set STOPSET_TEST_WINDOWS=1")
+    return needed([] if platform == HERE else RUNNERS[platform])
+
+
+def compiled(source: str, platform: str, folder: Path) -> Path:
+    """A C program of this folder for a platform."""
+    program = folder / f"{Path(source).stem}-{platform}.exe"
+    libraries = [] if "windows" in platform else ["-lm", "-ldl"]
+    flags = ["-target", PLATFORMS[platform].target, "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-I", str(INCLUDE)]
+    given = str(Path(__file__).with_name(source))
+    subprocess.run([*build.compiler(), "cc", *flags, given, *libraries, "-o", str(program)], check=True)
+    return program
+
+
 @pytest.mark.parametrize("platform", [HERE, "valgrind", *(p for p in RUNNERS if p != HERE)])
 def test_a_c_program_uses_the_library(everywhere: dict[int, Path], tmp_path: Path, platform: str) -> None:
     """Instances, states, reset, serialisation, sentences, and the same end as in Python, without Python in the process."""
     memory = platform == "valgrind"
     name = str(HERE) if memory else platform
-    runner = ["valgrind", "-q", "--leak-check=full", "--error-exitcode=9"] if memory else [] if name == HERE else RUNNERS[name]
-    if runner and not shutil.which(runner[0]):
-        pytest.skip(f"{runner[0]} is not installed")
-    if "windows" in name and not os.environ.get("STOPSET_TEST_WINDOWS"):
-        pytest.skip("building a Windows program takes minutes the first time; set STOPSET_TEST_WINDOWS=1")
-    target = PLATFORMS[name]
-    program = tmp_path / "importer"
-    libraries = [] if "windows" in name else ["-lm", "-ldl"]
-    source = str(Path(__file__).with_name("fmu_importer.c"))
-    flags = ["-target", target.target, "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-I", str(INCLUDE)]
-    subprocess.run([*build.compiler(), "cc", *flags, source, *libraries, "-o", str(program)], check=True)
+    runner = needed(["valgrind", "-q", "--leak-check=full", "--error-exitcode=9"]) if memory else runs(name)
+    program = compiled("fmu_importer.c", name, tmp_path)
     with zipfile.ZipFile(everywhere[3]) as z:
-        library = z.extract(f"binaries/{name}/stopset_test_arm{target.suffix}", tmp_path)
+        library = z.extract(f"binaries/{name}/stopset_test_arm{PLATFORMS[name].suffix}", tmp_path)
         xml = z.read("modelDescription.xml").decode()
     token = xml.split('instantiationToken="')[1].split('"')[0]
     v = variables(arm_model())
@@ -99,6 +115,54 @@ def test_a_c_program_uses_the_library(everywhere: dict[int, Path], tmp_path: Pat
     assert np.abs(np.array(numbers, float) - final_positions()).max() < AGREE
 
 
+def played(unit: Path, platform: str, script: str, folder: Path) -> list[str]:
+    """The numbers that the library of a platform says to the calls of a script (fmu_player.c), as bits."""
+    runner, program = runs(platform), compiled("fmu_player.c", platform, folder)
+    with zipfile.ZipFile(unit) as z:
+        library = z.extract(next(n for n in z.namelist() if n.startswith(f"binaries/{platform}/")), folder)
+        token = z.read("modelDescription.xml").decode().split('instantiationToken="')[1].split('"')[0]
+    done = subprocess.run(
+        [*runner, str(program), library, token], input=script, capture_output=True, text=True, timeout=600, check=False,
+        env={**os.environ, "WINEDEBUG": "-all"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-500:] + done.stderr[-500:]
+    return done.stdout.split()
+
+
+def calls(model: Model, states: int) -> str:
+    """Bounds of a STOP 0 at measured states, then as many steps of the nominal motion with their bounds."""
+    v, rng, lines = variables(model), np.random.default_rng(5), []
+
+    def put(**given: NDArray[np.float64]) -> None:
+        for stem, x in given.items():
+            lines.extend(f"r {v.reference(f'{stem}_{j}')} {y!r}" for j, y in zip(model.joints, x.tolist(), strict=True))
+
+    def ask(*stems: str) -> None:
+        lines.extend(f"get {v.reference(f'{stem}_{model.joints[0]}')} {model.n}" for stem in stems)
+
+    lines.append(f"b {v.reference('measured')} 1")
+    for _ in range(states):
+        put(q_measured=0.8 * rng.uniform(-1, 1, model.n), dq_measured=0.8 * rng.uniform(-1, 1, model.n))
+        ask("stop_time", "stop_forward", "stop_back", "stop_angle")
+    lines.append(f"b {v.reference('measured')} 0")
+    for k in range(states):
+        put(tau=20.0 * rng.normal(size=model.n))
+        lines.append(f"step {k * DT!r} {DT!r}")
+        ask("q", "dq", "q_lo", "dq_hi")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("platform", [p for p in RUNNERS if p != HERE])
+def test_every_platform_says_the_same_bits(tmp_path: Path, platform: str) -> None:
+    """Motion, its bounds and stop bounds of an arm with effects of load, pose and speed, by other instructions or fewer at a time."""
+    model = braked(8.0, 3, effort="motor_torque", effects=EFFECTS[:6])
+    runs(platform)
+    unit, script = export(model, tmp_path / "F.fmu", Contents(3, (str(HERE), platform))), calls(model, 12)
+    here = played(unit, str(HERE), script, tmp_path)
+    assert len(here) == 12 * 8 * 3 and NAN not in here and len(set(here)) > 200
+    assert played(unit, platform, script, tmp_path) == here
+
+
 def test_every_platform_gets_its_kind_of_binary(everywhere: dict[int, Path]) -> None:
     elf, pe, macho, fat = b"\x7fELF", b"MZ", struct.pack("<I", 0xFEEDFACF), struct.pack(">I", 0xCAFEBABE)
     machine = {"x86_64-linux": 62, "aarch64-linux": 183}
@@ -110,6 +174,7 @@ def test_every_platform_gets_its_kind_of_binary(everywhere: dict[int, Path]) -> 
             assert b"fmi3DoStep" in code
             assert b"fmi2DoStep" in code
             assert str(Path.home()).encode() not in code
+            assert (ASKS_THE_PROCESSOR in code) == (name in build.CLONED), "else it would always run the narrow loops"
             if name in machine:
                 assert int.from_bytes(code[18:20], "little") == machine[name]
     with zipfile.ZipFile(everywhere[2]) as z:
@@ -197,12 +262,12 @@ def test_sources_alone_become_the_same_unit_by_another_compiler(tmp_path: Path, 
     with zipfile.ZipFile(plain) as z:
         names = z.namelist()
         z.extractall(tmp_path, [p for p in names if p.startswith("sources/")])
-        xml = z.read("sources/buildDescription.xml" if fmi == 3 else "modelDescription.xml").decode()
+        built_as = z.read("sources/buildDescription.xml").decode()
+        xml = built_as if fmi == 3 else z.read("modelDescription.xml").decode()
     assert not any(p.startswith("binaries/") for p in names)
     units = dict.fromkeys(re.findall(r'<(?:Source)?File name="([^"]+)"', xml))
-    options = re.findall(r'compilerOptions="([^"]+)"', xml)
-    assert bool(options) == (fmi == 3)
-    command = [gcc, "-shared", "-fPIC", "-O2", *(options[0].split() if options else []), *units, "-lm", "-o", "unit.so"]
+    options = re.findall(r'compilerOptions="([^"]+)"', built_as)
+    command = [gcc, "-shared", "-fPIC", "-O2", *options[0].split(), *units, "-lm", "-o", "unit.so"]
     subprocess.run(command, cwd=folder, check=True, timeout=600)
     place = "x86_64-linux" if fmi == 3 else "linux64"
     with zipfile.ZipFile(plain) as old, zipfile.ZipFile(built, "w") as new:

@@ -15,19 +15,11 @@ import pytest
 
 from stopset.fmu import Contents, export
 from stopset.fmu.build import native
-from test_fmu import EFFECTS, friction
-from test_fmu_stops import braked, braking
+from test_fmu_fuzz import MODELS
 
 pytest.importorskip("fmpy")
 pytest.importorskip("ziglang")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(native() is None, reason="no FMU binaries for this platform")]
-
-LASTING = (*EFFECTS[:2], friction("hysteresis", "axis_1", F_h=2.0, delta=0.01))
-MODELS = {
-    "linear": braking(),
-    "effects": braked(8.0, 3, effort="motor_torque", effects=LASTING),
-    "cubic": braked(8.0, 2, cubic=0.2),
-}
 
 
 def said(fmi: int, unit: Path) -> str:
@@ -40,10 +32,13 @@ def said(fmi: int, unit: Path) -> str:
 
 @pytest.mark.parametrize(
     ("name", "fmi", "clocks"),
-    [("linear", 2, False), ("linear", 3, True), ("effects", 2, False), ("effects", 3, False), ("cubic", 3, False)],
-)
-def test_no_rule_of_the_standard_is_broken(tmp_path: Path, name: str, fmi: int, clocks: bool) -> None:
-    unit = export(MODELS[name], tmp_path / "F.fmu", Contents(fmi, (str(native()),), reference=False, clocks=clocks))
+    [
+        ("linear", 2, False), ("linear", 3, True), ("effects", 2, False), ("effects", 3, False), ("cubic", 2, False), ("cubic", 3, False),
+        ("model 3", 3, False), ("from outside", 2, False), ("from outside", 3, True),
+    ],
+)  # fmt: skip
+def test_no_rule_of_the_standard_is_broken(tmp_path: Path, name: str, fmi: int, clocks: bool, own_effect: object) -> None:
+    unit = export(MODELS[name](), tmp_path / "F.fmu", Contents(fmi, (str(native()),), reference=False, clocks=clocks))
     assert said(fmi, unit).strip() == "No errors found."
 
 
@@ -57,7 +52,7 @@ def test_no_rule_of_the_standard_is_broken(tmp_path: Path, name: str, fmi: int, 
 def test_a_broken_rule_is_said(tmp_path: Path, fmi: int, right: str, wrong: str) -> None:
     """Time is no output."""
     unit, broken = (
-        export(MODELS["cubic"], tmp_path / "F.fmu", Contents(fmi, (str(native()),), reference=False)),
+        export(MODELS["cubic"](), tmp_path / "F.fmu", Contents(fmi, (str(native()),), reference=False)),
         tmp_path / "G.fmu",
     )
     with zipfile.ZipFile(unit) as z, zipfile.ZipFile(broken, "w") as out:

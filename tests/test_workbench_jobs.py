@@ -209,7 +209,7 @@ def test_diagnose_add_and_the_curve_falls_in_a_browser(altered: Path, tmp_path: 
         assert [
             e
             for e in browser.get_log("browser")
-            if e["level"] == "SEVERE" and "CONNECTION" not in e["message"] and "400" not in e["message"]
+            if e["level"] == "SEVERE" and "net::ERR_" not in e["message"] and "400" not in e["message"]
         ] == []
     finally:
         browser.get("about:blank")

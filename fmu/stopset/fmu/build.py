@@ -74,7 +74,9 @@ FLAGS = (
 )  # fmt: skip
 LINK = ("-shared", "-s")
 WINDOWS = ("windows.c", "msvcrt.def")
-PROCESSOR = "processor.c"  # of the core, for zig on x86-64 Linux alone, where the core's loops choose their instructions at load
+# of the core, for zig on the platforms where the core's loops choose their instructions; nothing here could run them on macOS
+PROCESSOR = "processor.c"
+CLONED = ("x86_64-linux", "x86_64-windows")
 
 
 def compiler() -> list[str]:
@@ -112,8 +114,10 @@ def _objects(folder: Path, units: Sequence[str], platform: Platform, flags: Sequ
 def _compile_core(folder: Path, units: Sequence[str], platform: Platform) -> bytes:
     """What does not depend on the model, as an archive."""
     out = f"core-{platform.name}.a"
-    units = [*units, PROCESSOR] if platform.name == "x86_64-linux" else units
-    objects = _objects(folder, units, platform, ["-fPIC"] if platform.suffix == ".so" else [])
+    flags = ["-fPIC"] if platform.suffix == ".so" else []
+    if platform.name in CLONED:
+        units, flags = [*units, PROCESSOR], [*flags, "-DSTOPSET_PROCESSOR"]
+    objects = _objects(folder, units, platform, flags)
     # appended, as files of two folders have one name; without times and owners
     _run([*compiler(), "ar", "qcsD", out, *objects], folder, platform)
     return (folder / out).read_bytes()

@@ -91,10 +91,12 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     files: dict[str, bytes] = {"modelDescription.xml": description(model, v, name, token, fmi, units).encode()}
     files |= _folders(made, fmi, name)
     files |= {f"sources/{file}": content.encode() for file, content in text.items()}
-    if fmi == 3:
-        files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(v).encode()
-        files["terminalsAndIcons/icon.png"] = icon()
-        files["sources/buildDescription.xml"] = build_description(name, units).encode()
+    # of FMI 3, and taken back into FMI 2.0.4 as they are
+    files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(v).encode()
+    files["terminalsAndIcons/icon.png"] = icon()
+    files["sources/buildDescription.xml"] = build_description(name, units).encode()
+    if fmi == 2:
+        files["model.png"] = icon()
     files["documentation/licenses/license.txt" if fmi == 3 else "documentation/license.txt"] = _licence().encode()
     said = {"robot": model.robot.name, "model_sha256": model.sha256, "revision": revision_of(model)}
     files[ORIGIN] = (json.dumps(said, indent=1) + "\n").encode()

@@ -18,7 +18,8 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE / "c"
-PROCESSOR = HERE / "processor.c"  # for zig and this target: its own library would always choose the narrow loops
+PROCESSOR = HERE / "processor.c"  # for zig and these targets: its own library would always choose the narrow loops
+CLONED = ("linux-x86_64", "windows-x86_64")
 FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden")
 # name in a release -> what zig calls it, wheel tag
 TARGETS = {
@@ -85,8 +86,8 @@ def compile_core(out: Path, target: str | None = None) -> Path:
     half = out / f"half-{os.getpid()}"
     half.mkdir(exist_ok=True)
     stamp = f'-DSTOPSET_SOURCES="{sources_hash()}"'
-    files = [*c_files(), PROCESSOR] if target == "linux-x86_64" else c_files()
-    command += [*FLAGS, stamp, "-shared", *map(str, files), "-o", path.name]
+    files, chosen = ([*c_files(), PROCESSOR], ["-DSTOPSET_PROCESSOR"]) if target in CLONED else (c_files(), [])
+    command += [*FLAGS, *chosen, stamp, "-shared", *map(str, files), "-o", path.name]
     try:
         done = subprocess.run(command, cwd=half, capture_output=True, text=True, check=False)
         if done.returncode:

@@ -6,8 +6,9 @@
 
 #include "stopset_fmi.h"
 
-static const char MAGIC[8] = {'s', 't', 'o', 'p', 's', 'e', 't', '1'};
-enum { TOKEN = 64 };
+/* Before the bytes of a serialized state: these, the unit's token, the sum of the bytes. */
+static const char MAGIC[8] = {'s', 't', 'o', 'p', 's', 'e', 't', '2'};
+enum { TOKEN = 64, SUM = sizeof(uint64_t), HEAD = sizeof MAGIC + TOKEN + SUM };
 
 Level stopset_fail(Instance *c, const char *function, const char *what) {
     char message[512];
@@ -321,7 +322,14 @@ Level stopset_set_state(Instance *c, const void *state) {
     return LEVEL_OK;
 }
 
-size_t stopset_serialized_size(void) { return sizeof MAGIC + TOKEN + sizeof(Saved); }
+/* FNV-1a of a serialized state: who stored it may have damaged it, and a wrong state has wrong bounds. */
+static uint64_t sum_of(const unsigned char *bytes) {
+    uint64_t h = UINT64_C(14695981039346656037);
+    for (size_t k = 0; k < sizeof(Saved); k++) h = (h ^ bytes[k]) * UINT64_C(1099511628211);
+    return h;
+}
+
+size_t stopset_serialized_size(void) { return HEAD + sizeof(Saved); }
 
 Level stopset_serialize(Instance *c, const void *state, unsigned char *bytes, size_t size) {
     if (!state || size < stopset_serialized_size())
@@ -329,7 +337,9 @@ Level stopset_serialize(Instance *c, const void *state, unsigned char *bytes, si
     memset(bytes, 0, size);
     memcpy(bytes, MAGIC, sizeof MAGIC);
     snprintf((char *)bytes + sizeof MAGIC, TOKEN, "%s", stopset_token);
-    memcpy(bytes + sizeof MAGIC + TOKEN, state, sizeof(Saved));
+    memcpy(bytes + HEAD, state, sizeof(Saved));
+    const uint64_t sum = sum_of(bytes + HEAD);
+    memcpy(bytes + sizeof MAGIC + TOKEN, &sum, SUM);
     return LEVEL_OK;
 }
 
@@ -338,9 +348,12 @@ Level stopset_deserialize(Instance *c, const unsigned char *bytes, size_t size, 
     snprintf(token, sizeof token, "%s", stopset_token);
     if (size < stopset_serialized_size() || memcmp(bytes, MAGIC, sizeof MAGIC) != 0 || memcmp(bytes + sizeof MAGIC, token, TOKEN) != 0)
         return stopset_fail(c, "deserializeFMUState", "these bytes are not a state of this FMU; use those it wrote itself");
+    const uint64_t sum = sum_of(bytes + HEAD);
+    if (memcmp(bytes + sizeof MAGIC + TOKEN, &sum, SUM) != 0)
+        return stopset_fail(c, "deserializeFMUState", "these bytes are damaged, their sum is another than when they were written; use those of another store");
     if (!*state) *state = malloc(sizeof(Saved));
     if (!*state) return stopset_fail(c, "deserializeFMUState", "no memory left for a state; free states that are no longer needed");
-    memcpy(*state, bytes + sizeof MAGIC + TOKEN, sizeof(Saved));
+    memcpy(*state, bytes + HEAD, sizeof(Saved));
     return LEVEL_OK;
 }
 

@@ -16,7 +16,8 @@ typedef int64_t Choice __attribute__((vector_size(32), aligned(8), may_alias));
 #define LANES_FROM(first) ((Choice){0, 1, 2, 3} + (first))                     /* which four they are */
 #define IN_LANES(bits) (((Choice){1, 2, 4, 8} & (int64_t)(bits)) != 0) /* all bits or none, from a bit each */
 
-#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) && !defined(STOPSET_NARROW)
+/* STOPSET_PROCESSOR: processor.c is linked too, which answers where no library of the system does. */
+#if defined(__x86_64__) && (defined(__GLIBC__) || defined(STOPSET_PROCESSOR)) && !defined(__SANITIZE_ADDRESS__) && !defined(STOPSET_NARROW)
 #define STOPSET_WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define STOPSET_WIDE

@@ -153,7 +153,7 @@ SETTLED = (
     Threshold("LOWERED_SWING", "the same of an elastic gear, which readings of the motor's side alone show", "%",
               "true ones of labelled and generated sets lowered it by 30 to 77 %"),
     Threshold("MAX_CLAIMS", "most claims", "", "chosen: a bound on the search"),
-    Threshold("CONTENDERS", "best distinct effects and joints whose shapes are refined before one is claimed", "",
+    Threshold("CONTENDERS", "best distinct effects and joints, refined and not found to be nothing, before one is claimed", "",
               "chosen: a bound on the search"),
     Threshold("HANDFUL", "claims that are named; the rest is told in sum", "",
               "chosen: later claims are mostly what the imperfect laws of the first ones leave, one after another"),

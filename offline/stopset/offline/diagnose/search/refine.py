@@ -17,13 +17,19 @@ FINEST_LAG = 4e-4  # [s]
 
 
 def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Scored]:
-    """The best distinct contenders with their shapes refined, best first."""
-    contenders: dict[tuple[str, tuple[int, ...]], Scored] = {}
+    """The best distinct contenders of ``scored`` (best first) with their shapes refined, best first.
+
+    What refining leaves nothing of takes no other's place: a lag of the grid may look likely at every joint and turn out to be none.
+    """
     out_of_step = next((s for s in scored if _out_of_step(s) and s.score > 0), None)
+    asked, finer = set[tuple[str, tuple[int, ...]]](), list[Scored]()
     for s in scored:
-        if len(contenders) < limit.CONTENDERS and s.score > 0 and (s.admissible or s is out_of_step):
-            contenders.setdefault(s.candidate.key, s)
-    finer = [refine(now, s, hyper) for s in contenders.values()]
+        if len(finer) == limit.CONTENDERS or s.score <= 0:
+            break
+        if s.candidate.key not in asked and (s.admissible or s is out_of_step):
+            asked.add(s.candidate.key)
+            if (best := refine(now, s, hyper)).score > 0:
+                finer.append(best)
     return sorted((s for s in finer if possible(now.engine, s)), key=lambda s: -s.score)
 
 
