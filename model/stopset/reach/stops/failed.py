@@ -87,7 +87,7 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
         return [] if ramp.off_after is None else [cell(top * ramp.off_after, top, ramp.off_after)]
     lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
     control = float(np.max(ramp.control.hi))
-    out = []
+    out: list[StatesAtCut] = []
     for k in range(SLICES + 1):  # left in slice k, until whose start the speed was below the line
         line = min(top, 1.0 - max(k - 1, 0) / SLICES + ramp.tolerance)
         s = k / SLICES
