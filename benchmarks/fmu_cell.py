@@ -1,4 +1,6 @@
-"""Draw the cell of tests/fmu_cell.py from above, run by fmpy: stopped by the arm's own bound, and by a text book's v^2/2a.
+"""Draw the cell of tests/fmu_cell.py from above, stopped by the arm's own bound and by a text book's v^2/2a.
+
+Drawn as fmpy runs it; how it goes in Ecos and libcosim is said too.
 
 Run: python benchmarks/fmu_cell.py docs/pictures/fmu-cell.svg
 """
@@ -12,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from fmu_cell import BODY, CYCLE, EDGE, LINKS, PERSON, REACH, WALK, Run, cell, run
+from fmu_cell import BODY, CYCLE, EDGE, IMPORTERS, LINKS, PERSON, REACH, WALK, Run, cell
 from stopset.files import write_text
 
 SIZE, SCALE = 460.0, 150.0  # [px] of a panel, per metre
@@ -74,12 +76,13 @@ def main() -> None:
     """Run both cells and draw them."""
     target = Path(sys.argv[1])
     with tempfile.TemporaryDirectory() as folder:
-        proved, textbook = run(cell(Path(folder), False)), run(cell(Path(folder), True))
-    for name, r in (("bound of the unit", proved), ("v^2/2a", textbook)):
+        ssps = {"bound of the unit": cell(Path(folder), False), "v^2/2a": cell(Path(folder), True)}
+        runs = {(who, name): run(ssp) for who, run in IMPORTERS.items() for name, ssp in ssps.items()}
+    for (who, name), r in runs.items():
         asked = int(np.argmax(r.stop))
-        print(
-            f"{name}: asked for at {r.t[asked]:.2f} s, {r.q[asked]:.3f} rad; at rest at {r.q.max():.3f} rad; gap {r.gap.min():+.3f} m"
-        )
+        said = f"asked for at {r.t[asked]:.2f} s, {r.q[asked]:.3f} rad; at rest at {r.q.max():.3f} rad; gap {r.gap.min():+.3f} m"
+        print(f"{who}, {name}: {said}")
+    proved, textbook = runs["fmpy", "bound of the unit"], runs["fmpy", "v^2/2a"]
     body = panel(0.0, "stopped by the unit's own bound", proved) + panel(SIZE, "the same logic with v²/2a", textbook)
     note = text(
         14, 452, f"top view; the arm turns to the left; grey: driven, coloured: stopping; cycles of {1e3 * CYCLE:.0f} ms", GREY

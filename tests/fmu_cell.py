@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
+import sys
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -174,10 +177,66 @@ class Run:
         return REACH * (EDGE - self.q)
 
 
-def run(ssp: Path) -> Run:
-    """By fmpy's simulation of SSPs."""
+OUTPUTS = (
+    ("arm", "q_axis_1"),
+    ("arm", "dq_axis_1"),
+    ("logic", "ahead"),
+    ("logic", "stop"),
+    ("curtain", "walked"),
+)  # of a Run, in its order
+END = 2.5  # [s]
+
+
+def by_fmpy(ssp: Path) -> Run:
+    """Its simulation of SSPs."""
     from fmpy.ssp.simulation import simulate_ssp
 
-    out = simulate_ssp(str(ssp), stop_time=2.5, step_size=CYCLE)
-    names = ("time", "arm.q_axis_1", "arm.dq_axis_1", "logic.ahead", "logic.stop", "curtain.walked")
-    return Run(*(np.asarray(out[n], float) for n in names))
+    out = simulate_ssp(str(ssp), stop_time=END, step_size=CYCLE)
+    return Run(*(np.asarray(out[n], float) for n in ("time", *(".".join(x) for x in OUTPUTS))))
+
+
+def by_ecos(ssp: Path) -> Run:
+    """Ecos; its library needs tbb, which its package does not load."""
+    ctypes.CDLL(str(next(Path(sys.prefix).glob("lib/libtbb.so.12"))), mode=ctypes.RTLD_GLOBAL)
+    from ecospy import EcosSimulation
+
+    rows = []
+    with EcosSimulation(step_size=CYCLE, ssp_path=str(ssp)) as s:
+        s.init()
+        for k in range(round(END / CYCLE)):
+            s.step()
+            read = [s.get_integer if name == "stop" else s.get_real for _, name in OUTPUTS]
+            rows.append([CYCLE * (k + 1), *(get(f"{part}::{name}") for get, (part, name) in zip(read, OUTPUTS, strict=True))])
+    return Run(*np.array(rows, float).T)
+
+
+def by_libcosim(ssp: Path) -> Run:
+    """libcosim, which takes the unpacked description and names variables by their numbers."""
+    from fmpy import read_model_description
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
+    from libcosimpy.CosimObserver import CosimObserver
+
+    log_output_level(CosimLogLevel.FATAL)
+    folder = ssp.with_suffix("")
+    with zipfile.ZipFile(ssp) as z:
+        z.extractall(folder)
+    execution = CosimExecution.from_ssp_file(str(folder / "SystemStructure.ssd"), round(1e9 * CYCLE))
+    observer = CosimObserver.create_last_value()
+    execution.add_observer(observer)
+    parts = {part for part, _ in OUTPUTS}
+    number = {
+        (part, v.name): v.valueReference
+        for part in parts
+        for v in read_model_description(str(folder / "resources" / f"{part}.fmu")).modelVariables
+    }
+    index = {part: execution.slave_index_from_instance_name(part) for part in parts}
+    rows = []
+    for k in range(round(END / CYCLE)):
+        execution.step()
+        read = [observer.last_integer_values if name == "stop" else observer.last_real_values for _, name in OUTPUTS]
+        rows.append([CYCLE * (k + 1), *(get(index[x[0]], [number[x]])[0] for get, x in zip(read, OUTPUTS, strict=True))])
+    return Run(*np.array(rows, float).T)
+
+
+IMPORTERS: dict[str, Callable[[Path], Run]] = {"fmpy": by_fmpy, "Ecos": by_ecos, "libcosim": by_libcosim}

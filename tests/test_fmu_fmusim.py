@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,22 +73,11 @@ CASES = {
 }
 
 
-def by_fmusim(
-    fmu: Path, model: Model, drive: Drive, watched: list[str], *options: str, jumps: bool = False
-) -> list[dict[str, str]]:
-    """Its rows as it prints them; ``jumps``: inputs end in one row and begin in the next, which makes an event, else it draws lines
-    between them in model exchange."""
+def called(fmu: Path, inputs: list[list[str]], watched: list[str], *options: str) -> list[dict[str, str]]:
+    """Its rows as it prints them, of the inputs in rows below their names."""
     given, got = fmu.with_suffix(".in.csv"), fmu.with_suffix(".out.csv")
     with given.open("w", newline="") as f:
-        out = csv.writer(f)
-        out.writerow(["time", *names(model, "tau"), "stop"])
-        before: list[str] = []
-        for k, (tau, stop) in enumerate(zip(drive.torques.tolist(), drive.stop.tolist(), strict=True)):
-            now = [*map(repr, tau), repr(stop)]
-            if jumps and before:
-                out.writerow([repr(k * STEP), *before])
-            out.writerow([repr(k * STEP), *now])
-            before = now
+        csv.writer(f).writerows(inputs)
     wanted = [x for name in watched for x in ("--output-variable", name)]
     times = ["--stop-time", repr(STEPS * STEP), "--output-interval", repr(STEP)]
     files = ["--input-file", str(given), "--output-file", str(got)]
@@ -98,6 +87,21 @@ def by_fmusim(
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     with got.open() as f:
         return list(csv.DictReader(f))
+
+
+def by_fmusim(
+    fmu: Path, model: Model, drive: Drive, watched: list[str], *options: str, jumps: bool = False
+) -> list[dict[str, str]]:
+    """Its rows; ``jumps``: inputs end in one row and begin in the next, which makes an event, else it draws lines between them in
+    model exchange."""
+    inputs, before = [["time", *names(model, "tau"), "stop"]], list[str]()
+    for k, (tau, stop) in enumerate(zip(drive.torques.tolist(), drive.stop.tolist(), strict=True)):
+        now = [*map(repr, tau), repr(stop)]
+        if jumps and before:
+            inputs.append([repr(k * STEP), *before])
+        inputs.append([repr(k * STEP), *now])
+        before = now
+    return called(fmu, inputs, watched, *options)
 
 
 def digits_apart(fmu: Path, model: Model, drive: Drive, numbers: list[str]) -> tuple[int, float]:
@@ -132,3 +136,44 @@ def test_fmusim_prints_every_digit_of_fmpy(tmp_path: Path, name: str, fmi: int, 
     other, moved = digits_apart(fmu, model, drive, numbers)
     assert other == 0
     assert moved > 1e-3, "an arm that stands still shows nothing"
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, Drive, Path]:
+    """What FMI 3 has more, of a unit that integrates."""
+    model, drive = CASES["effects"].made()
+    return model, drive, export(model, tmp_path_factory.mktemp("three") / "F.fmu", Contents(3, (str(native()),), reference=False))
+
+
+def test_fmusim_sets_and_reads_arrays(three: tuple[Model, Drive, Path]) -> None:
+    model, drive, fmu = three
+    rows = [[repr(k * STEP), " ".join(map(repr, tau))] for k, tau in enumerate(drive.torques.tolist())]
+    arrays = called(fmu, [["time", "tau"], *rows], ["q", "q_lo"], "--interface-type", "cs")
+    scalars = by_fmusim(fmu, model, replace(drive, request=0), names(model, "q", "q_lo"), "--interface-type", "cs")
+    for stem in ("q", "q_lo"):
+        assert [r[stem].split() for r in arrays] == [[r[n] for n in names(model, stem)] for r in scalars]
+    assert len({r["q"] for r in arrays}) == STEPS + 1
+
+
+def test_fmusim_reads_within_a_step(three: tuple[Model, Drive, Path]) -> None:
+    """At the steps of the integrator too, and at the ends of steps what it reads without."""
+    model, drive, fmu = three
+    plain, many = (
+        by_fmusim(fmu, model, drive, names(model, "q"), "--interface-type", "cs", *option) for option in ((), ("--record-intermediate-values",))
+    )  # fmt: skip
+    assert len(many) > len(plain) + STEPS // 2
+    assert [float(r["time"]) for r in many] == sorted(float(r["time"]) for r in many)
+    ends = {r["time"]: r for r in many}
+    assert all(ends[r["time"]] == r for r in plain)
+
+
+@pytest.mark.parametrize("mode", [(), ("--event-mode-used",)])
+def test_fmusim_takes_a_step_that_ends_at_rest(three: tuple[Model, Drive, Path], mode: tuple[str, ...]) -> None:
+    model, drive, fmu = three
+    plain = by_fmusim(fmu, model, drive, names(model, "q", "dq"), "--interface-type", "cs")
+    early = by_fmusim(fmu, model, drive, names(model, "q", "dq"), "--interface-type", "cs", "--early-return-allowed", *mode)
+    more = [r for r in early if r["time"] not in {x["time"] for x in plain}]
+    assert len(more) == 1 and all(float(more[0][n]) == 0.0 for n in names(model, "dq")), "where the last joint comes to rest"
+    assert ASKED * STEP < float(more[0]["time"]) < STEPS * STEP
+    for n in names(model, "q"):
+        assert abs(float(early[-1][n]) - float(plain[-1][n])) < 1e-9

@@ -16,8 +16,10 @@ from stopset.artifact import Model
 from stopset.fmu import Contents, archive
 from stopset.fmu.stops import stop_refusal
 from stopset.offline.abstraction import build
+from stopset.reach.stops.path import Path as StopPath
 from test_fmu import EFFECTS, friction
 from test_fmu_catalogue import fitted
+from test_fmu_path import posed, rows
 from test_fmu_stops import braked, braking
 
 
@@ -40,7 +42,9 @@ MODELS: dict[str, Callable[[], Model]] = {  # each for a range of payloads
     "model 2": lambda: whole(2),
     "model 3": lambda: whole(3),
     "from outside": from_outside,
+    "with a path": posed,
 }
+PATHS = {"with a path": StopPath.through(rows(3))}
 CALLS = 60  # runs of 60 calls each
 CALLS_SLOW = 12  # under valgrind, which takes some forty times as long
 SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
@@ -48,13 +52,13 @@ VALGRIND = ["valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--show
 SOURCES = ("fmu_fuzz2.c", "fmu_fuzz.c")  # of FMI 2 and 3, which a unit's sources are both of
 
 
-def fuzzers(folder: Path, model: Model, *options: str) -> list[list[str]]:
+def fuzzers(folder: Path, model: Model, *options: str, path: StopPath | None = None) -> list[list[str]]:
     """Commands of the unit's own sources with calls in any order, but for seed and number of runs behind the token."""
     gcc = shutil.which("gcc")
     if gcc is None:
         pytest.skip("gcc is not installed")
     pytest.importorskip("fmpy")
-    (folder / "u.fmu").write_bytes(archive(model, Contents(3, source_only=True, reference=False)))
+    (folder / "u.fmu").write_bytes(archive(model, Contents(3, source_only=True, reference=False, path=path)))
     with zipfile.ZipFile(folder / "u.fmu") as z:
         z.extractall(folder)
     token = (folder / "modelDescription.xml").read_text().split('instantiationToken="')[1].split('"')[0]
@@ -74,7 +78,7 @@ def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, own
     """Under the address and undefined-behaviour sanitizers; that of leaks comes with the first."""
     leaks = {**os.environ, "ASAN_OPTIONS": "detect_leaks=1"}
     model = MODELS[name]()
-    for command in fuzzers(tmp_path, model, *SANITIZE):
+    for command in fuzzers(tmp_path, model, *SANITIZE, path=PATHS.get(name)):
         done = subprocess.run([*command, "1", str(CALLS)], capture_output=True, text=True, timeout=600, check=False, env=leaks)
         assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
         words = done.stdout.split()
@@ -90,7 +94,7 @@ def test_valgrind_finds_nothing_and_nothing_is_lost(tmp_path: Path, name: str, o
     """What no sanitizer sees: numbers that were never set, where they decide."""
     if shutil.which("valgrind") is None:
         pytest.skip("valgrind is not installed")
-    for program in fuzzers(tmp_path, MODELS[name]()):
+    for program in fuzzers(tmp_path, MODELS[name](), path=PATHS.get(name)):
         done = subprocess.run(
             [*VALGRIND, *program, "1", str(CALLS_SLOW)], capture_output=True, text=True, timeout=1200, check=False
         )

@@ -418,10 +418,10 @@ def test_lemmas_that_the_code_rests_on_are_proved_in_the_docs() -> None:
     assert not nameless, "say which"
 
 
-# called by name from what they are made for: servers, notebooks, the path planner, python-can's reader of BLF, and links that fill a
-# batch by themselves
+# called by name from what they are made for: servers, notebooks, the path planner, Python's streams, and links that fill a batch by
+# themselves
 CALLED_BY_OTHERS = re.compile(
-    r"fill|dof|path_interval|do_[A-Z]+|log_message|send_error|handle_error|process_request\w*|_repr_html_|_parse_container"
+    r"fill|dof|path_interval|do_[A-Z]+|log_message|send_error|handle_error|process_request\w*|_repr_html_|readable|readinto"
 )
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 

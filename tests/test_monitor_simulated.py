@@ -37,6 +37,12 @@ def test_a_hundred_lives_keep_every_promise(live: Live) -> None:
     assert seen >= {State.OK, State.DEGRADED, State.UNKNOWN, State.VIOLATION, State.FAULT, State.INIT}, "the lives are not idle"
 
 
+@pytest.mark.parametrize("seed", [611749, 611917])
+def test_a_life_that_once_broke_a_promise_keeps_it(seed: int, live: Live) -> None:
+    """An emergency said before the bus was lost was forgotten; a start between two late frames mixed two cycles."""
+    assert not broken(live(seed))
+
+
 def test_a_seed_gives_the_same_life_again(live: Live) -> None:
     def life(seed: int) -> list[tuple[float, int, int]]:
         return [(t.at, t.m["state"], t.m["flags"]) for t in live(seed).published]

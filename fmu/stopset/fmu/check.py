@@ -16,6 +16,7 @@ import numpy as np
 
 from stopset.errors import OutputError
 from stopset.fmu.build import native
+from stopset.recording.unpacked import TooLargeError, check_zip
 from stopset.types import Array
 
 AGREE = 1e-9  # [rad, rad/s] nominal motion and bounds
@@ -56,11 +57,14 @@ def check_fmu(path: str | Path) -> FmuCheck:
 
     here = native()
     try:
+        check_zip(Path(path))
         description = fmpy.read_model_description(str(path), validate=False)
         with zipfile.ZipFile(path) as z:
             names = z.namelist()
             changed = _changed(z, names)
             tables = {end: _table(z, names, f"_{end}.csv") for end in ("in", "ref", "stops")}
+    except TooLargeError as e:
+        raise OutputError(f"{path} {e}") from e
     except OSError as e:
         raise OutputError(f"{path}: {e.strerror or e}; expected an FMU that can be read: name another file") from e
     except Exception as e:

@@ -23,6 +23,7 @@ from stopset.artifact.model import Model
 from stopset.artifact.store import model_of, read_model_text
 from stopset.errors import ModelFileError, OutputError, StopsetError
 from stopset.files import write_private, write_text
+from stopset.recording.unpacked import check_zip
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -64,6 +65,7 @@ class Statement:
     def of_unit(cls, data: bytes, path: str | Path) -> Statement:
         """Of a unit's bytes. Raises `ModelFileError` where they are none of `stopset export-fmu`."""
         try:
+            check_zip(io.BytesIO(data))
             with zipfile.ZipFile(io.BytesIO(data)) as z:
                 said = json.loads(z.read(ORIGIN))
             return cls(hashlib.sha256(data).hexdigest(), str(said["model_sha256"]), str(said["robot"]), int(said["revision"]))

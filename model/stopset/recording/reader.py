@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -21,6 +22,7 @@ import pyarrow.parquet as pq
 from stopset.errors import RecordingError
 from stopset.recording.seen import open_seen
 from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
+from stopset.recording.unpacked import Allowance, TooLargeError
 from stopset.robot import Robot
 from stopset.types import Array
 
@@ -55,11 +57,20 @@ def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
             meta = {b"recording": side.read_bytes()} if side.exists() else None
             return reader.schema.with_metadata(meta), iter(reader)
         file = pq.ParquetFile(path, pre_buffer=False)  # else all of the file is read ahead, and memory grows with it
+        Allowance.of(path.stat().st_size, most=sys.maxsize).take(_unpacked_size(file.metadata))
         return file.schema_arrow, file.iter_batches(batch_size=BATCH_ROWS)
+    except TooLargeError as e:
+        raise RecordingError(f"{path} {e}") from e
     except (pa.ArrowInvalid, pa.ArrowException, OSError) as e:
         first = str(e).splitlines()[0]
         kind = "CSV table" if path.suffix.lower() == ".csv" else "Parquet file"
         raise RecordingError(f"{path} is not a readable {kind} ({first}); expected a recording: export it again") from e
+
+
+def _unpacked_size(file: pq.FileMetaData) -> int:
+    """Bytes that a Parquet file says it has without compression, or its columns as numbers of four: what repeats takes none of it."""
+    pages = sum(file.row_group(k).total_byte_size for k in range(file.num_row_groups))
+    return int(max(pages, 4 * file.num_rows * file.num_columns))
 
 
 def _sha256(path: Path) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 import pyarrow as pa
 
 from stopset.errors import RecordingError
+from stopset.recording.unpacked import MESSAGE, Allowance, TooLargeError, mcap_records
 
 SIGNALS = {"q": "position", "dq": "velocity", "tau": "effort", "temp": "temperature"}
 
@@ -45,23 +46,25 @@ def _read(path: Path) -> tuple[dict[str, str] | None, list[dict[str, Any]], list
     """What the file is about, its joint states, what the monitor took for the causes of violations."""
     try:
         from mcap.records import Channel, Message, Metadata
-        from mcap.stream_reader import StreamReader
     except ImportError as e:
         raise RecordingError(f"{path} needs the package mcap to be read; install stopset[monitor]") from e
     about: dict[str, str] | None = None
     wanted = {"stopset/joint_states": (rows := list[dict[str, Any]]()), "stopset/cause": (causes := list[dict[str, Any]]())}
     channels: dict[int, list[dict[str, Any]]] = {}
-    begun = False
+    begun, allowance = False, Allowance.of(path.stat().st_size)
     with path.open("rb") as f:
         try:
-            for record in StreamReader(f).records:
+            for record in mcap_records(f):
                 begun = True
                 if isinstance(record, Metadata) and record.name == "stopset":
                     about = record.metadata
                 elif isinstance(record, Channel) and record.topic in wanted:
                     channels[record.id] = wanted[record.topic]
                 elif isinstance(record, Message) and record.channel_id in channels:
+                    allowance.take(MESSAGE + len(record.data))
                     channels[record.channel_id].append(json.loads(record.data))
+        except TooLargeError as e:
+            raise RecordingError(f"{path} {e}") from e
         except Exception as e:  # a damaged length or chunk ends the reader in the words of zstandard, struct or Python
             if not (begun and rows):
                 raise RecordingError(f"{path} is not a readable MCAP file ({type(e).__name__}: {e}); copy it again") from e

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ import numpy as np
 from stopset.errors import BusError, RecordingError
 from stopset.monitor.jointstate import JointState, decode
 from stopset.recording import Meta, Recording
+from stopset.recording.unpacked import MESSAGE, PIECE, Allowance, TooLargeError, Unpacking, mcap_records
 from stopset.types import Array
 
 BAG_SUFFIXES = frozenset({".mcap", ".db3"})
@@ -50,49 +54,79 @@ def _all_messages(path: Path, topic: str) -> Iterator[bytes]:
         if part.suffix != ".zstd":
             yield from _messages(part, topic)
             continue
-        import zstandard
-
         with tempfile.TemporaryDirectory() as folder:
             whole = Path(folder) / part.name.removesuffix(".zstd")
-            try:
-                with part.open("rb") as packed, whole.open("wb") as f:
-                    zstandard.ZstdDecompressor().copy_stream(packed, f)
-            except (zstandard.ZstdError, OSError) as e:
-                raise RecordingError(f"{part} cannot be unpacked ({e}); copy it again, or unpack it with zstd -d") from e
+            _unpack(part, whole)
             yield from _messages(whole, topic)
+
+
+def _unpack(part: Path, whole: Path) -> None:
+    """A bag that was packed with zstd, onto the disk. Raises `RecordingError`."""
+    import zstandard
+
+    try:
+        free = shutil.disk_usage(whole.parent).free
+        with part.open("rb") as packed, whole.open("wb") as f:
+            stream = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+            shutil.copyfileobj(Unpacking(stream, Allowance.of(part.stat().st_size, most=free // 2)), f)
+    except TooLargeError as e:
+        raise RecordingError(f"{part} {e}") from e
+    except (zstandard.ZstdError, OSError) as e:
+        raise RecordingError(f"{part} cannot be unpacked ({e}); copy it again, or unpack it with zstd -d") from e
 
 
 def _messages(path: Path, topic: str) -> Iterator[bytes]:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; expected an MCAP file or the .db3 of a ROS 2 bag")
     if path.suffix.lower() == ".mcap":
-        from mcap.reader import make_reader
-
         try:
-            with path.open("rb") as f:
-                for _, _, message in make_reader(f).iter_messages(topics=[topic]):
-                    yield message.data
+            yield from _mcap_messages(path, topic)
+        except TooLargeError as e:
+            raise RecordingError(f"{path} {e}") from e
         except Exception as e:
             why = f"{type(e).__name__}: {str(e)[:200]}"
             raise RecordingError(f"{path} is not a readable MCAP file ({why}); record or copy it again") from e
         return
     try:
-        db = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
-        try:
-            rows = db.execute(
-                "select m.data from messages m join topics t on m.topic_id = t.id where t.name = ? order by m.timestamp", (topic,)
-            )
-            for (data,) in rows:
-                if not isinstance(data, bytes):
-                    raise RecordingError(
-                        f"{path} holds a message that is no bytes; expected a ROS 2 bag: record or copy it again"
-                    )
-                yield data
-        finally:
-            db.close()
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as db:
+            yield from _db3_messages(path, db, topic)
+    except TooLargeError as e:
+        raise RecordingError(f"{path} {e}") from e
     except (sqlite3.Error, UnicodeDecodeError, OverflowError, MemoryError) as e:  # a damaged length asks for more than there is
         why = f"{type(e).__name__}: {e}"
         raise RecordingError(f"{path} is not a readable ROS 2 bag ({why}); give the .db3 file") from e
+
+
+def _db3_messages(path: Path, db: sqlite3.Connection, topic: str) -> Iterator[bytes]:
+    """By the time at which they were recorded. A table may be a view, or a column computed, without an end."""
+    db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, PIECE)
+    tables = {name for (name,) in db.execute("select name from sqlite_master where type = 'table'")}
+    if lacking := {"messages", "topics"} - tables:
+        raise RecordingError(f"{path} has no table {', '.join(sorted(lacking))}; expected a ROS 2 bag: record or copy it again")
+    allowance = Allowance.of(path.stat().st_size)
+    query = "select m.data from messages m join topics t on m.topic_id = t.id where t.name = ? order by m.timestamp"
+    for (data,) in db.execute(query, (topic,)):
+        if not isinstance(data, bytes):
+            raise RecordingError(f"{path} holds a message that is no bytes; expected a ROS 2 bag: record or copy it again")
+        allowance.take(len(data))
+        yield data
+
+
+def _mcap_messages(path: Path, topic: str) -> Iterator[bytes]:
+    """By the time at which they were recorded."""
+    from mcap.records import Channel, Message
+
+    allowance, channels, found = Allowance.of(path.stat().st_size), set[int](), list[tuple[int, bytes]]()
+    with path.open("rb") as f:
+        for record in mcap_records(f):
+            if isinstance(record, Channel) and record.topic == topic:
+                channels.add(record.id)
+            elif isinstance(record, Message) and record.channel_id in channels:
+                allowance.take(MESSAGE + len(record.data))
+                found.append((record.log_time, record.data))
+    found.sort(key=itemgetter(0))
+    for _, data in found:
+        yield data
 
 
 def trials_of_bag(

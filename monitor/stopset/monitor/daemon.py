@@ -34,7 +34,7 @@ from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.report import RunCounts, Turn, health, twin
 from stopset.monitor.sample import Sample
-from stopset.monitor.source import NoSource, SampleSource
+from stopset.monitor.source import NoSource, SampleSource, resumed
 from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide
 from stopset.monitor.stopdesk import StopDesk, seen_by
 from stopset.monitor.verdict import Conformance, Verdict
@@ -331,7 +331,7 @@ class Daemon:
                 self._slow_messages(now, turn)
                 self.clock.sleep(PATIENCE)
             try:
-                self.source = reopen()
+                self.source = resumed(reopen(), self.source)
                 self.watch.restart()  # a new source counts its cycles anew
                 return
             except BusError as e:

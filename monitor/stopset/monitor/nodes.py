@@ -72,6 +72,13 @@ class Nodes:
             self.heard[cob_id - HEARTBEAT] = t
             self._becomes(cob_id - HEARTBEAT, data[0] & 0x7F)
 
+    def remember(self, before: Nodes) -> None:
+        """What the same drives said on a bus that was lost still holds: an emergency is told once, its end too."""
+        for node_id, node in before._nodes.items():
+            if node_id in self._nodes:
+                self._nodes[node_id] = node
+                self._stands(node_id, node)
+
     def _becomes(self, node_id: int, state: int) -> None:
         node = self._nodes[node_id]
         node.state = state

@@ -105,7 +105,7 @@ class CanSource:
     _fill: Callable[[Batch, float], None] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.decoder = Decoder(self.profile, self.cycle_s, LOG)
+        self.decoder = Decoder(self.profile, self.cycle_s, LOG, joined=True)
         self._count = CycleCount(self.cycle_s, self.profile.sync_overflow)
         p = self.profile
         self.quantum = Quantum(p.quantum("q"), p.quantum("dq"), p.quantum("tau"))
@@ -159,6 +159,13 @@ class CanSource:
 
     def close(self) -> None:
         self.bus.close()
+
+
+def resumed(source: SampleSource, before: SampleSource) -> SampleSource:
+    """``source``, on the bus of ``before`` that was lost: what its drives said there is not forgotten."""
+    if isinstance(source, CanSource) and isinstance(before, CanSource):
+        source.decoder.nodes.remember(before.decoder.nodes)
+    return source
 
 
 @dataclass(slots=True)

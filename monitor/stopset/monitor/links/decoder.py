@@ -40,12 +40,14 @@ class Decoder:
     serves to find the rhythm again and is not given out.  Two kinds of cycles are held back until the next SYNC, and given
     out if no frame came twice, no SYNC is missing, and it does not come with the last frame: those completed about a period
     after their SYNC, perhaps by the next one's frames, and for 0.2 s after a loss all, because what was lost may still come.
-    What the drives say besides goes to ``nodes``.  ``cycle_s``: period on the wire, 0 = the profile's; ``room``: frames kept.
+    What the drives say besides goes to ``nodes``.  ``cycle_s``: period on the wire, 0 = the profile's; ``room``: frames kept;
+    ``joined``: the bus ran before, so the first cycle may hold a late frame of one that was not seen, and is not given out either.
     """
 
     profile: Profile
     cycle_s: float = 0.0
     room: int = 1
+    joined: bool = False
     maps: dict[int, FrameMap] = field(init=False)
     nodes: Nodes = field(init=False)
     _struct: Any = field(init=False)  # the core's `StopsetDecoder`
@@ -84,7 +86,7 @@ class Decoder:
             "pdo": structs[0], "field": structs[1], "scale": pinned.array(scale), "raw": pinned.array(raw),
             "held": pinned.array(np.empty(shape)), "values": pinned.shared(self._values), "came": pinned.array(np.zeros(len(maps)), np.uint8),
             "node": pinned.shared(self.nodes.standing), "heard": pinned.shared(self.nodes.heard), "patience": self.nodes.patience,
-            "foreign": -1, "shift": np.inf, "log": self._log, "room": self.room,
+            "foreign": -1, "shift": np.inf, "doubtful": self.joined, "log": self._log, "room": self.room,
         })  # fmt: skip
         self._pinned = pinned
 

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import gzip
+import io
 import math
 import re
 import struct
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import BinaryIO, TextIO, cast
+from typing import BinaryIO, TextIO
 
 import can
 from can.io.generic import MessageReader
 
 from stopset.errors import RecordingError
 from stopset.monitor.links.batch import Frame
+from stopset.recording.unpacked import Allowance, TooLargeError, Unpacking, check_piece, inflated
 
-_BLF_HEAD = struct.Struct("<8xI4x")  # of any object in a BLF file: its size
 LOG_SUFFIXES = frozenset({".log", ".asc", ".blf", ".trc"})
 
 
@@ -40,6 +41,8 @@ def read_log(path: str | Path) -> Iterator[Frame]:
             if not math.isfinite(frame.t):
                 raise ValueError(f"frame {frame.cob_id:03X} is stamped {frame.t}")
             yield frame
+    except TooLargeError as e:
+        raise RecordingError(f"{p} {e}") from e
     except Exception as e:
         why = f"{type(e).__name__}: {str(e)[:200]}"
         raise RecordingError(f"{p} is not a readable {suffix} log ({why}); export it again") from e
@@ -56,23 +59,70 @@ def _frames(p: Path, suffix: str) -> Iterator[Frame]:
 
 
 def _reader(p: Path, suffix: str) -> MessageReader:
+    allowance = Allowance.of(p.stat().st_size)
     if suffix == ".blf":
-        opened = gzip.open if p.suffix.lower() == ".gz" else open
-        return _Blf(cast("BinaryIO", opened(p, "rb")))
-    return can.LogReader(str(p), **({"relative_timestamp": False} if suffix == ".asc" else {}))
+        return _Blf(_bytes(p, allowance), allowance)
+    text = _text(p, allowance)
+    if suffix == ".asc":
+        return can.ASCReader(text, relative_timestamp=False)
+    return can.TRCReader(text) if suffix == ".trc" else can.CanutilsLogReader(text)
+
+
+def _bytes(p: Path, allowance: Allowance) -> BinaryIO:
+    """What a log holds, unpacked where it is .gz."""
+    return io.BufferedReader(Unpacking(gzip.open(p), allowance)) if p.suffix.lower() == ".gz" else p.open("rb")
+
+
+def _text(p: Path, allowance: Allowance) -> TextIO:
+    return io.TextIOWrapper(_bytes(p, allowance), encoding="utf-8-sig", errors="replace")
+
+
+_OBJECT = struct.Struct("<4s4xII")  # head of any object in a BLF file: LOBJ, its size with the head, its kind
+_CONTAINER = struct.Struct("<H6xI4x")  # a container's own head: how it is packed, bytes unpacked
+_KIND_CONTAINER, _STORED, _ZLIB = 10, 0, 2
 
 
 class _Blf(can.BLFReader):
-    """Refuses an object that says it is shorter than its own head: python-can stays at one of no length for ever."""
+    """Takes no more out of a container than it declares, and no object that is shorter than its own head, at which python-can stays
+    for ever."""
+
+    def __init__(self, file: BinaryIO, allowance: Allowance) -> None:
+        super().__init__(file)
+        self._allowance = allowance
+
+    def __iter__(self) -> Iterator[can.Message]:  # type: ignore[override]
+        while head := self.file.read(_OBJECT.size):
+            signature, size, kind = _OBJECT.unpack(head)
+            if signature != b"LOBJ":
+                raise ValueError("no object where one should begin")
+            _check_object(size)
+            body = self.file.read(size - _OBJECT.size)
+            self.file.read(size % 4)
+            if kind != _KIND_CONTAINER:
+                continue
+            packing, declared = _CONTAINER.unpack_from(body)
+            data = body[_CONTAINER.size :]
+            if packing not in (_STORED, _ZLIB):
+                raise ValueError(f"a container packed by method {packing}, expected {_STORED} or {_ZLIB}")
+            if packing == _ZLIB:
+                data = inflated(data, declared)
+            self._allowance.take(len(data))
+            yield from self._parse_container(data)
+        self.stop()
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
         at, whole = 0, self._tail + data
-        while (at := whole.find(b"LOBJ", at, at + 8)) >= 0 and at + _BLF_HEAD.size <= len(whole):
-            size = _BLF_HEAD.unpack_from(whole, at)[0]
-            if size < _BLF_HEAD.size:
-                raise ValueError(f"an object of {size} bytes, shorter than its head of {_BLF_HEAD.size}")
+        while (at := whole.find(b"LOBJ", at, at + 8)) >= 0 and at + _OBJECT.size <= len(whole):
+            _, size, _ = _OBJECT.unpack_from(whole, at)
+            _check_object(size)
             at += size
         return super()._parse_container(data)
+
+
+def _check_object(size: int) -> None:
+    if size < _OBJECT.size:
+        raise ValueError(f"an object of {size} bytes, shorter than its head of {_OBJECT.size}")
+    check_piece(size)
 
 
 # what candump shows on the screen: "(1436509052.249713)  can0  123   [2]  11 22"; with -x "RX - -" before the identifier, with -a
@@ -86,20 +136,15 @@ _CLASSIC = 8  # bytes
 
 def _screen_lines(p: Path) -> Iterator[Frame] | None:
     """Frames of a log in candump's screen format; None if it is its own. Raises ValueError for lines that are none, or unstamped."""
-    with _opened(p) as f:
+    with _text(p, Allowance.of(p.stat().st_size)) as f:
         first = next((line for line in f if line.strip()), "")
     if first and not _SCREEN.match(first) and not _LOGGED.match(first):
         raise ValueError(f"its first line is not candump's: {first.strip()[:60]!r}")
     return _frames_of_screen(p) if _SCREEN.match(first) else None
 
 
-def _opened(p: Path) -> TextIO:
-    opened = gzip.open if p.suffix.lower() == ".gz" else open
-    return opened(p, "rt", encoding="utf-8-sig", errors="replace")
-
-
 def _frames_of_screen(p: Path) -> Iterator[Frame]:
-    with _opened(p) as f:
+    with _text(p, Allowance.of(p.stat().st_size)) as f:
         began = last = math.nan
         for number, line in enumerate(f, 1):
             found = _SCREEN.match(line)

@@ -13,6 +13,7 @@ import numpy as np
 from stopset.errors import ModelFileError
 from stopset.offline.nominal.normal_equations import DELAYS, NormalEquations, empty, layout_of
 from stopset.offline.nominal.preprocess import Preprocessing
+from stopset.recording.unpacked import check_zip
 from stopset.robot import Robot
 
 SCHEMA = 1
@@ -55,6 +56,7 @@ def load_sums(path: str | Path | BytesIO, robot: Robot) -> NormalEquations:
     Raises `ModelFileError` for a file that is damaged, of another version, or of another robot.
     """
     try:
+        check_zip(path if isinstance(path, BytesIO) else Path(path))
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         head = json.loads(arrays["head"].tobytes())
@@ -74,7 +76,7 @@ def load_sums(path: str | Path | BytesIO, robot: Robot) -> NormalEquations:
             setattr(out, name, arrays[name])
     except ModelFileError:
         raise
-    except (OSError, EOFError, KeyError, ValueError, TypeError, IndexError, zipfile.BadZipFile) as e:
+    except (OSError, EOFError, KeyError, ValueError, TypeError, IndexError, MemoryError, zipfile.BadZipFile) as e:
         raise ModelFileError(f"{path} holds no sums of an identification ({type(e).__name__}: {e}); identify again") from e
     out.period = float("nan") if head["period"] is None else float(head["period"])
     out.samples, out.recordings, out.poses = int(head["samples"]), int(head["recordings"]), int(head["poses"])

@@ -36,6 +36,7 @@ from stopset.offline.identify.signals_file import meta_of
 from stopset.offline.nominal.normal_equations_file import load_sums as load_nominal
 from stopset.offline.nominal.normal_equations_file import sums_bytes
 from stopset.recording import Recording, SuiteKey, counted
+from stopset.recording.unpacked import check_zip
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -87,6 +88,7 @@ def load_sums(path: str | Path, model: Model) -> RetainedSums:
     Raises `ModelFileError` for a file that is damaged, foreign, of another version or of another model.
     """
     try:
+        check_zip(Path(path))
         with np.load(path, allow_pickle=False) as file:
             arrays: Arrays = {name: file[name] for name in file.files}
         head = json.loads(arrays["head"].tobytes())
@@ -96,7 +98,7 @@ def load_sums(path: str | Path, model: Model) -> RetainedSums:
         raise ModelFileError(
             f"{path}: no such file; expected what `stopset identify --keep` wrote: identify again with it"
         ) from e
-    except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile) as e:
+    except (OSError, EOFError, KeyError, ValueError, TypeError, AttributeError, MemoryError, zipfile.BadZipFile) as e:
         raise ModelFileError(
             f"{path} is damaged or no kept state ({type(e).__name__}); expected what `stopset identify --keep` wrote: identify again"
         ) from e
