@@ -34,7 +34,8 @@ class Key:
 
     key_id: int
     secret: bytes
-    _inner: Any = field(init=False, compare=False)  # SHA-256 that has taken the secret in, once for all messages: RFC 2104, section 4
+    # SHA-256 that has taken the secret in, once for all messages (RFC 2104, section 4)
+    _inner: Any = field(init=False, compare=False)
     _outer: Any = field(init=False, compare=False)
 
     def __post_init__(self) -> None:
