@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Model
+from stopset.effects import Fitted
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
+from stopset.offline.diagnose.changes import changes
 from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.progress import silent
@@ -160,3 +162,35 @@ def test_since_when_is_told_where_the_change_is_in_the_recordings(pair: Pair) ->
     # and where all recordings show it, that is what is said
     (whole,) = diagnose_model(pair.model, worn)[0].changed
     assert whole.since == "" and "before the first of these recordings" in whole.says
+
+
+def test_a_model_that_does_not_know_how_friction_is_shared_names_nothing_for_that(pair: Pair) -> None:
+    """R-980: a viscous friction that a fit held at zero is not known to be zero: the model says how far it may be off."""
+    joint = pair.model.joints[0]
+    wet = next(f.values["F_v"] for f in pair.model.effects if (f.effect, f.joint) == ("viscous", joint))
+    off = {"coulomb": (0.6 * wet, 0.6 * wet), "viscous": (-wet, wet)}  # as much friction at 0.6 rad/s
+
+    def unsure(f: Fitted) -> Fitted:
+        if f.joint != joint or f.effect not in off:
+            return f
+        (symbol, value), (shift, std) = next(iter(f.values.items())), off[f.effect]
+        return replace(f, values={symbol: value + shift}, std={symbol: std})
+
+    model = replace(pair.model, effects=tuple(map(unsure, pair.model.effects)))
+    s = pair.scenario
+    found = diagnose_model(model, recorded(replace(s, cell=replace(s.cell, seed=LATER))))[0]
+    assert found.verdict == "none" and not found.claims and not found.changed
+    assert max(found.excess.values()) < 1.5
+
+
+def test_friction_that_came_to_grow_with_the_load_is_no_level_that_changed(pair: Pair) -> None:
+    """R-981: a law that looks like a level, and leaves less, is what changed; the level beside it is not."""
+    s, joint, load = pair.scenario, pair.model.joints[DRAGGING], 0.2
+    plant = s.cell.truth.plant._replace(tooth=load * (np.arange(3) == DRAGGING))
+    later = recorded(replace(s, cell=replace(s.cell, truth=replace(s.cell.truth, plant=plant), seed=LATER)))
+    told = changes(pair.model, [r for r in later.trials if r.phase != "static"])
+    assert [(c.effect, c.symbol, c.at) for c in told] == [("load_coulomb", k, joint) for k in ("k_lift", "k_lower")]
+    # by gravity's load; the simulated gear's is the whole torque
+    assert [c.after for c in told] == pytest.approx([load, load], rel=0.1)
+    found = diagnose_model(pair.model, later)[0]
+    assert [r.label for r in found.ranked] == [f"load_coulomb:{joint}"] and not found.changed  # told once

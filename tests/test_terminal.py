@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import re
@@ -100,6 +101,28 @@ def test_on_a_terminal_one_line_is_rewritten_and_none_is_longer_than_the_window(
     assert "\r\x1b[K" in text
     shown = [part for part in re.split(r"\r\x1b\[K|\r?\n", text) if part]
     assert max(map(len, shown)) <= 60 and "sentence of the answer" in text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--help"], ["stops", "--help"], ["nonsense"], ["stops", "--nonsense"], ["inspect", "no such file " * 8]],
+    ids=" ".join,
+)
+def test_help_and_refusals_end_where_the_window_does(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    near, far = pty.openpty()
+    with os.fdopen(far, "w") as terminal, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.stdout", terminal)
+        patch.setattr("sys.stderr", terminal)
+        with contextlib.suppress(SystemExit):
+            main(words)
+        terminal.flush()
+    text = ""
+    with contextlib.suppress(OSError):  # the other side is closed: all is read
+        while part := os.read(near, 65536):
+            text += part.decode()
+    os.close(near)
+    assert len(text) > 80 and max(map(len, text.splitlines())) <= 80
 
 
 def test_a_folded_list_says_how_to_unfold_it(capsys: pytest.CaptureFixture[str]) -> None:

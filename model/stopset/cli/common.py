@@ -9,7 +9,7 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from stopset.errors import OutputError
 from stopset.files import writable, write_text
@@ -136,11 +136,21 @@ def listed(lines: Sequence[str], what: str, *, whole: bool) -> None:
 
 def say(text: str) -> None:
     """A line of the command's answer for people, broken where the window ends."""
-    if sys.stdout.isatty() and len(text) > (room := shutil.get_terminal_size().columns):
-        inner = " " * (len(text) - len(text.lstrip()) + 4)
-        text = "\n".join(textwrap.wrap(text, max(room, 40), subsequent_indent=inner, drop_whitespace=False) or [text])
-    sys.stdout.write(text + "\n")
+    sys.stdout.write(broken(text, sys.stdout) + "\n")
     sys.stdout.flush()
+
+
+def complain(text: str) -> None:
+    """Why there is no answer, in one sentence, broken where the window ends."""
+    sys.stderr.write(broken(f"stopset: {text}", sys.stderr) + "\n")
+
+
+def broken(text: str, stream: TextIO, inner: int | None = None) -> str:
+    """``text`` in lines no longer than the window of ``stream``, if it has one; ``inner``: blanks before all but the first."""
+    if not stream.isatty() or len(text) <= (room := shutil.get_terminal_size().columns):
+        return text
+    blanks = " " * (len(text) - len(text.lstrip()) + 4 if inner is None else inner)
+    return "\n".join(textwrap.wrap(text, max(room, 40), subsequent_indent=blanks, drop_whitespace=False) or [text])
 
 
 def path_rows(path: Path, n: int) -> Any:

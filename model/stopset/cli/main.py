@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from stopset import cli
-from stopset.cli.common import check_distinct
+from stopset.cli.common import broken, check_distinct, complain
 from stopset.errors import StopsetError
 
 # matrices here are small: threads of the linear algebra library would only wait for each other
@@ -32,7 +32,8 @@ class Parser(argparse.ArgumentParser):
     """Bad usage gets one sentence and exit code 2."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"stopset: {message}; see `{self.prog} --help`\n")
+        complain(f"{message}; see `{self.prog} --help`")
+        self.exit(2)
 
 
 def commands() -> list[str]:
@@ -47,16 +48,14 @@ def _module(command: str) -> ModuleType:
 
 
 def _overview() -> str:
-    rows = "\n".join(f"  {c:<14} {getattr(_module(c), 'HELP', '')}" for c in commands())
-    return (
-        f"usage: stopset COMMAND [options]\n\n{rows}\n\n"
-        f"`stopset COMMAND --help` tells each command's options; start with `stopset demo`.\n{FOOTER}\n"
-    )
+    rows = "\n".join(broken(f"  {c:<14} {getattr(_module(c), 'HELP', '')}", sys.stdout, 17) for c in commands())
+    more = "`stopset COMMAND --help` tells each command's options; start with `stopset demo`."
+    return f"usage: stopset COMMAND [options]\n\n{rows}\n\n{broken(more, sys.stdout, 0)}\n{broken(FOOTER, sys.stdout, 0)}\n"
 
 
 def parser_of(command: str) -> Parser:
     """What a command takes, as its ``--help`` and the reference pages tell it."""
-    parser = Parser(prog=f"stopset {command}", formatter_class=argparse.RawDescriptionHelpFormatter, epilog=FOOTER)
+    parser = Parser(prog=f"stopset {command}", epilog=FOOTER)
     module = _module(command)
     parser.description = module.HELP
     module.add_arguments(parser)
@@ -77,21 +76,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         near = difflib.get_close_matches(words[0], commands(), n=1)
         like = f"; most like it is {near[0]}" if near else ""
-        sys.stderr.write(f"stopset: no command {words[0]!r}; expected one of {', '.join(commands())}{like}\n")
+        complain(f"no command {words[0]!r}; expected one of {', '.join(commands())}{like}")
         return 2
     try:
         args = parser_of(words[0]).parse_args(words[1:])
         check_distinct(args)
         return int(_module(words[0]).run(args))
     except StopsetError as e:
-        sys.stderr.write(f"stopset: {' '.join(str(e).split())}\n")
+        complain(" ".join(str(e).split()))
         return 2
     except BrokenPipeError:
         # whoever read our output has left (`stopset ... | head`): nothing more can be said, and nothing is wrong
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        sys.stderr.write("stopset: interrupted\n")
+        complain("interrupted")
         return 130
     except Exception as e:  # noqa: BLE001 -- where everything ends that nobody foresaw: a traceback is no answer
         return _unforeseen(words[0], e)
@@ -100,26 +99,22 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _unforeseen(command: str, e: Exception) -> int:
     """One sentence for an error that is not stopset's own way of saying no, and its exit code."""
     if isinstance(e, ModuleNotFoundError) and (e.name or "").split(".")[0] != "stopset":
-        sys.stderr.write(f"stopset: {command} needs the package {e.name}; install stopset[all]\n")
+        complain(f"{command} needs the package {e.name}; install stopset[all]")
         return 2
     if isinstance(e, OSError) and e.filename is not None:
-        sys.stderr.write(
-            f"stopset: {e.filename}: {e.strerror}; expected a file that may be used: mend its rights or name another\n"
-        )
+        complain(f"{e.filename}: {e.strerror}; expected a file that may be used: mend its rights or name another")
         return 2
     if isinstance(e, MemoryError):
-        sys.stderr.write(
-            f"stopset: {command} ran out of memory; expected more of it or less to do: free some or give fewer recordings\n"
-        )
+        complain(f"{command} ran out of memory; expected more of it or less to do: free some or give fewer recordings")
         return 2
     if os.environ.get(DEBUG):
         traceback.print_exception(e)
     frames = ((str(frame.f_globals.get("__name__")), line) for frame, line in traceback.walk_tb(e.__traceback__))
     where = [f"{name} line {line}" for name, line in frames if name.partition(".")[0] == "stopset"]
     what = " ".join(f"{type(e).__name__} {e}".split())[:200] + f", {(where or ['nowhere'])[-1]}"
-    sys.stderr.write(
-        f"stopset: {command} failed inside ({what}); this is a defect of stopset, not an answer and not your input's fault: "
-        f"run it again with {DEBUG}=1 in the environment and report what it says\n"
+    complain(
+        f"{command} failed inside ({what}); this is a defect of stopset, not an answer and not your input's fault: "
+        f"run it again with {DEBUG}=1 in the environment and report what it says"
     )
     return DEFECT
 

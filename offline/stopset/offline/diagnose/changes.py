@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from stopset.effects.registry import get
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import left_over
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.levels import PARTS, LevelChange, level_changes
+from stopset.offline.diagnose.levels import PARTS, LevelChange, level_changes, look_alikes
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
 from stopset.types import Array
@@ -32,7 +33,8 @@ RIDGE = 1e-9  # relative: rounding
 class Change:
     """One level ``before`` (the model's) and ``after`` in ``unit``, with the error ``std`` of the difference.
 
-    ``error_before, error_after`` [N m]: held-out torque error of ``joint`` (of the worst one for a load, where it is None).
+    ``error_before, error_after`` [N m]: held-out torque error at the joint ``at``: ``joint``, or the worst one for a load, where it is
+    None.
     """
 
     effect: str
@@ -44,7 +46,13 @@ class Change:
     std: float
     error_before: float
     error_after: float
+    at: str
     since: str = ""
+
+    @property
+    def label(self) -> str:
+        """``effect:joint``."""
+        return f"{self.effect}:{self.joint}" if self.joint else self.effect
 
     @property
     def says(self) -> str:
@@ -75,7 +83,7 @@ class _Judged:
 
 def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]:
     """Changes since the model was identified, the most telling first; empty where the recordings are too short to tell."""
-    left, block, found, begins = _rows(model, recordings)
+    left, block, found, alike, begins = _rows(model, recordings)
     count = int(block.max()) + 1 if len(block) else 0
     if count < limit.CHANGE_TRIALS:
         return ()
@@ -87,22 +95,33 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
             break
         candidate, judged = _simplest(tried)
         onset = _onset(left, block, count, scale, candidate)
+        here, since = block >= onset, partial(_since, left, block, onset, scale)
         if onset:
-            here = block >= onset
-            alike = [
-                c
-                for c in found
-                if (c.joint, c.friction) == (candidate.joint, candidate.friction) and (c.friction or c is candidate)
-            ]
-            again = [(c.only(here), _judged(left[here], block[here] - onset, count - onset, scale, c.rows(here))) for c in alike]
+            of_it = [c for c in found if c is candidate or (c.friction and candidate.friction and c.joint == candidate.joint)]
+            again = [(c.only(here), since(c)) for c in of_it]
             candidate, judged = _simplest([(c, j) for c, j in again if j.gain > 0] or [(candidate, judged)])
         certain = bool(judged.certain(candidate).any())
         same = [c for c in found if c.friction and candidate.friction and c.joint == candidate.joint and (certain or onset)]
         found = [c for c in found if c.levels != candidate.levels and not any(c is x for x in same)]
         if certain:
+            rivals = [(c.only(here), since(c)) for c in alike if candidate.friction and c.joint == candidate.joint]
+            candidate, judged = _truer(candidate, judged, rivals)
             out += _said(model, candidate, judged, begins[onset] if onset else "")
             left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)
     return tuple(out[: limit.CHANGES])
+
+
+def _since(left: Array, block: np.ndarray, onset: int, scale: Array, c: LevelChange) -> _Judged:
+    """A candidate judged on the rows from a block on."""
+    here, count = block >= onset, int(block.max()) + 1
+    return _judged(left[here], block[here] - onset, count - onset, scale, c.rows(here))
+
+
+def _truer(c: LevelChange, judged: _Judged, rivals: Sequence[tuple[LevelChange, _Judged]]) -> tuple[LevelChange, _Judged]:
+    """A level of a joint's friction, or the law that looks like it and leaves less of the error by as much as a change must take."""
+    j = c.joint
+    less = [t for t in rivals if t[1].certain(t[0]).all() and t[1].after[j] < (1.0 - limit.CHANGE_LOWERED) * judged.after[j]]
+    return min(less, key=lambda t: float(t[1].after[j]), default=(c, judged))
 
 
 def _onset(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> int:
@@ -139,14 +158,17 @@ def _said(model: Model, c: LevelChange, judged: _Judged, since: str) -> list[Cha
         Change(
             x.effect, None if c.joint is None else model.joints[c.joint], x.symbol, x.unit, x.before,
             x.before + x.per * float(judged.theta[x.of]), abs(x.per) * float(std[x.of]), float(judged.before[worst]),
-            float(judged.after[worst]), since,
+            float(judged.after[worst]), model.joints[worst], since,
         )
         for x in c.levels if certain[x.of]
     ]  # fmt: skip
 
 
-def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndarray, list[LevelChange], list[str]]:
-    """Leftover torque (rows, n), nan where a joint stands, the block of each row, all that may have changed, and where blocks begin."""
+def _rows(
+    model: Model, recordings: Sequence[Recording]
+) -> tuple[Array, np.ndarray, list[LevelChange], list[LevelChange], list[str]]:
+    """Leftover torque (rows, n), nan where a joint stands, the block of each row, all levels that may have changed, the laws that look
+    like them, and where blocks begin."""
     parts: list[tuple[Array, ...]] = []
     block: list[int] = []
     begins: list[str] = []
@@ -167,9 +189,10 @@ def _rows(model: Model, recordings: Sequence[Recording]) -> tuple[Array, np.ndar
                 begins.append(r.label if whole else f"{piece.t[0]:.0f} s of {r.label}")
                 number += 1
     if not parts:
-        return np.zeros((0, model.n)), np.zeros(0, np.intp), [], []
+        return np.zeros((0, model.n)), np.zeros(0, np.intp), [], [], []
     q, dq, ddq, left = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return left, np.array(block), level_changes(model, q, dq, ddq), begins
+    levels = level_changes(model, q, dq, ddq)
+    return left, np.array(block), levels, look_alikes(model, q, dq, ddq, levels), begins
 
 
 def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> _Judged:

@@ -18,7 +18,7 @@ from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.question import question
-from stopset.offline.diagnose.remainder import verdict_of
+from stopset.offline.diagnose.remainder import accounts_for, verdict_of
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.nominal.prior import Tolerance
@@ -106,7 +106,8 @@ def diagnose_model(
     q = question(model, recordings)
     if not any(map(moves, q.asked)):
         return replace(standing(q.robot, q.recordings, q.fitted), notes=q.notes), q.against
-    found = answered(examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress), names)
+    x = examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress)
+    found = answered(x, names)
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
@@ -118,11 +119,19 @@ def diagnose_model(
         return found, q.against
     progress("what changed since identification")
     changed = changes(model, [r for r in q.recordings if moves(r)])
-    return _with_changes(found, [c for c in changed if names is None or c.effect in names]), q.against
+    return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
 
 
-def _with_changes(found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
-    """The answer with what changed since identification: that is the verdict where nothing is missing besides."""
+def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
+    """The answer with what changed since identification: that is the verdict where nothing is missing besides.
+
+    A level that leaves something unknown at its joint is no change: what is left there is told to resemble it.
+    """
+    sound = [c for c in changed if _accounts(x, c)]
+    refuted = [c for c in changed if c not in sound]
+    found = replace(found, unexplained=tuple(_resembling(u, refuted) for u in found.unexplained))
+    named = {r.label for r in found.ranked}
+    changed = [c for c in sound if c.label not in named]
     if not changed:
         return found
     if found.verdict == "missing":
@@ -135,6 +144,17 @@ def _with_changes(found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
         for c in changed
     )  # fmt: skip
     return replace(found, verdict="changed", ranked=ranked, changed=tuple(changed), next_experiment=SINCE)
+
+
+def _accounts(x: Examination, c: Change) -> bool:
+    share = (c.error_after / max(c.error_before, 1e-12)) ** 2
+    return accounts_for(x.found, x.left, x.engine.data.joints.index(c.at), share)
+
+
+def _resembling(left: Unexplained, refuted: Sequence[Change]) -> Unexplained:
+    """What is left of a joint, with the changes of levels there that are no finding."""
+    here = dict.fromkeys(f"{c.label} changed: {LEAVES_TOO_MUCH}" for c in refuted if c.at == left.joint)
+    return replace(left, resembles=(*left.resembles, *here))
 
 
 def _depends(verdict: str, worst: int | None, shown: Pattern | None, joints: Sequence[str]) -> tuple[str, ...]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.artifact.inputs import effect_torques
-from stopset.effects.base import Effect, Part
-from stopset.effects.registry import get
+from stopset.effects.base import Effect, Fitted, Part
+from stopset.effects.registry import catalogue, get
 from stopset.effects.selection import of_part
 from stopset.effects.signals import Samples
 from stopset.offline.diagnose import thresholds as limit
@@ -106,16 +106,48 @@ def _own(model: Model, q: Array, dq: Array, ddq: Array, rubs: Sequence[Array]) -
             or f.joint is None
         ):
             continue
-        j, shapes = model.joints.index(f.joint), {x.symbol: f.values[x.symbol] for x in law.shapes}
-        unit = [replace(f, values={**shapes, **{t.symbol: float(t is x) for t in law.terms}}) for x in law.terms]
-        columns = np.stack(
-            [effect_torques(model.robot, [x], Samples(q, dq, ddq, None, 0.0, np.zeros(len(q)))) for x in unit], axis=2
-        )
+        j, columns = model.joints.index(f.joint), _columns(model, f, law, q, dq, ddq)
         before = np.array([f.values[t.symbol] for t in law.terms])
         levels = tuple(_said_of(law, float(x), k) for k, x in enumerate(before))
         error = np.array([f.std.get(t.symbol) or 0.0 for t in law.terms])
         out.append(LevelChange(j, columns, rubs[j], levels, error, limit.DAILY * np.abs(before)))
     return out
+
+
+def look_alikes(model: Model, q: Array, dq: Array, ddq: Array, levels: Sequence[LevelChange]) -> list[LevelChange]:
+    """Laws that the model lacks and that look like a joint's friction, over the same rows, beside what ``levels`` have beside them.
+
+    A level must not be said to have changed where one of these says more.
+    """
+    plain = {e.name for e in map(of_part, PARTS) if e.base}
+    out = []
+    for law in catalogue().values():
+        if law.base or law.part or law.role != "friction" or not plain & set(law.looks_like) or not _instant(law):
+            continue
+        for j, joint in enumerate(model.joints):
+            shares = next((c.beside for c in levels if c.friction and c.joint == j and c.beside.shape[2]), None)
+            if shares is None or any((f.effect, f.joint) == (law.name, joint) for f in model.effects):
+                continue
+            columns = _columns(model, Fitted(law.name, joint, {}), law, q, dq, ddq)
+            none = np.zeros(len(law.terms))
+            levels_of = tuple(_said_of(law, 0.0, k) for k in range(len(law.terms)))
+            out.append(LevelChange(j, columns, shares, levels_of, none, none, friction=True))
+    return out
+
+
+def _instant(law: Effect) -> bool:
+    """Whether the arm's present state tells a law's torque, with no shape to be found."""
+    return (
+        law.scope == "joint" and not law.shapes and not law.states and law.compensated() and not {"temp", "warm"} & set(law.needs)
+    )
+
+
+def _columns(model: Model, f: Fitted, law: Effect, q: Array, dq: Array, ddq: Array) -> Array:
+    """(rows, n, terms) torque of each term of a law at one, its shapes as ``f`` has them."""
+    shapes = {x.symbol: f.values[x.symbol] for x in law.shapes}
+    unit = [replace(f, values={**shapes, **{t.symbol: float(t is x) for t in law.terms}}) for x in law.terms]
+    s = Samples(q, dq, ddq, None, 0.0, np.zeros(len(q)))
+    return np.stack([effect_torques(model.robot, [x], s) for x in unit], axis=2)
 
 
 def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float]) -> list[LevelChange]:

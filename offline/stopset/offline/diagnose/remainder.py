@@ -92,8 +92,21 @@ def verdict_of(found: Found, left: Left) -> str:
 
 def _telling(claims: Sequence[Claim]) -> bool:
     """Whether one claim alone takes away a good part of what some joint's rows left unexplained."""
-    for c in claims:
-        for before, after in zip(c.excess_before, c.excess_after, strict=True):
-            if before > limit.SENSORS and before - after > limit.TELLING * (before - 1.0):
-                return True
-    return False
+    return any(_good_part(b, a) for c in claims for b, a in zip(c.excess_before, c.excess_after, strict=True))
+
+
+def _good_part(before: float, after: float) -> bool:
+    """Whether a joint's variance over its sensors' noise falls by a good part of what is not that noise."""
+    return before > limit.SENSORS and before - after > limit.TELLING * (before - 1.0)
+
+
+def accounts_for(found: Found, left: Left, joint: int, share: float) -> bool:
+    """Whether a change of a level that leaves ``share`` of the torque's variance at a joint accounts for that joint.
+
+    Where the search, to which levels are free within their drift, leaves no more than noise, a level is all that can have changed.
+    Where something is left, a level explains a part of anything: it must explain as much as a claim must.
+    """
+    if joint not in left.depends and joint not in left.noisy:
+        return True
+    before = found.claims[0].excess_before[joint] if found.claims else found.excess[joint]
+    return _good_part(before, before * share)

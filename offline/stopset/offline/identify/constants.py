@@ -181,7 +181,7 @@ def constants() -> dict[str, Any]:
     """``group.NAME`` -> value, as written in the code of this version; the name is the one that is hashed."""
     named = {f"{group}.{name}": getattr(module, name) for group, module, names in TABLE for name in names.split()}
     out = {HASHED_AS.get(name, name): value for name, value in named.items()}
-    known = priors.Known(np.zeros((0, 2)))
+    known = priors.Known(np.zeros((0, 2)), np.zeros((0, 2)))
     return out | {
         "preprocessing defaults": preprocess.Preprocessing(),
         "description tolerance": prior.Tolerance(),

@@ -36,9 +36,12 @@ def base_columns(source: ArmSignals, rows: JointRows) -> Array:
     return np.column_stack([own[:, 0], body, scale, own[:, 1:]])
 
 
-def first_friction(X: Array, sd: Array) -> Array:
-    """Coulomb and viscous coefficients of a joint fitted alone: the shape of its friction's random scale."""
+def first_friction(X: Array, sd: Array, known: Array) -> Array:
+    """Coulomb and viscous coefficients of a joint fitted alone: the shape of its friction's random scale.
+
+    ``known`` (2,): what was taken off the rows already.
+    """
     A = X[:, 1:].T @ X[:, 1:] + np.diag(1.0 / sd**2 + 1e-9)
     theta = np.linalg.lstsq(A, X[:, 1:].T @ X[:, 0], rcond=1e-14)[0]
-    out: Array = np.maximum(theta[-4:-2], 0.0)
+    out: Array = np.maximum(known + theta[-4:-2], 0.0)
     return out

@@ -41,14 +41,15 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     if own(model, recordings.meta):
         return Baseline(described, None, DESCRIBED)
     drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
-    friction = np.zeros((model.n, 2))
+    friction, error = np.zeros((model.n, 2)), np.zeros((model.n, 2))
     for f in model.effects:
         for column, law in enumerate((of_part("dry friction"), of_part("damping"))):
             if f.effect == law.name and f.joint in model.joints:
-                friction[model.joints.index(f.joint), column] = f.values[law.terms[0].symbol]
+                at, symbol = (model.joints.index(f.joint), column), law.terms[0].symbol
+                friction[at], error[at] = f.values[symbol], f.std.get(symbol) or 0.0
     robot = replace(model.robot, drives=drives)
     gain, std, notes = drive_gain(described, robot, model.domain.q)
-    return Baseline(robot, Known(friction, gain, std), "identified model", notes)
+    return Baseline(robot, Known(friction, error, gain, std), "identified model", notes)
 
 
 def own(model: Model, meta: Meta) -> bool:

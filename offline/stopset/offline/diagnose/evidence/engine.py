@@ -80,9 +80,10 @@ class Engine:
         for j in range(n):
             X = base_columns(source, rows[j])
             if known:
-                sd[own[j, 1:3]] = np.maximum(known.spread * known.friction[j], 1e-3)
+                sd[own[j, 1:3]] = np.maximum(known.deviation[j], 1e-3)
                 X[:, 0] -= X[:, -4:-2] @ known.friction[j]
-            friction[j] = known.friction[j] if known else first_friction(X, np.concatenate([sd[base] * 10, sd[-1:], sd[own[j]]]))
+            off = known.friction[j] if known else np.zeros(2)
+            friction[j] = first_friction(X, np.concatenate([sd[base] * 10, sd[-1:], sd[own[j]]]), off)
             f = rows[j].column(np.stack([data.direction[:, j], data.dq[:, j]], axis=1) * friction[j])
             index = np.concatenate([[0], base, [1 + 15 * n], own[j]]).astype(np.intp)
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))

@@ -16,16 +16,22 @@ from stopset.types import Array
 class Known:
     """What a model from other recordings adds to the description: then only what has *changed* is asked for.
 
-    ``friction``: (n, 2) Coulomb and viscous coefficients; ``spread``: how far they drift from day to day, relative;
-    ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the rigid body may be off, as
-    `SCALES` of the thresholds.
+    ``friction, error``: (n, 2) Coulomb and viscous coefficients and the model's own error of them; ``spread``: how far they drift
+    from day to day, relative; ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the
+    rigid body may be off, as `SCALES` of the thresholds.
     """
 
     friction: Array
+    error: Array
     gain: float = 1.0
     gain_std: float = field(default_factory=lambda: limit.DRIVES)
     spread: float = field(default_factory=lambda: limit.DRIFT)
     scales: tuple[float, ...] = field(default_factory=lambda: limit.KNOWN_SCALES)
+
+    @property
+    def deviation(self) -> Array:
+        """(n, 2) how far the friction may be off the model's today: no model is truer than its own error."""
+        return np.hypot(self.spread * self.friction, self.error)
 
 
 def link_tolerance(robot: Robot, tol: Tolerance) -> Array:
