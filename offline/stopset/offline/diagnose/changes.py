@@ -106,6 +106,7 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         if certain:
             rivals = [(c.only(here), since(c)) for c in alike if candidate.friction and c.joint == candidate.joint]
             candidate, judged = _truer(candidate, judged, rivals)
+            found = [c for c in found if c.levels != candidate.levels]
             out += _said(model, candidate, judged, begins[onset] if onset else "")
             left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)
     return tuple(out[: limit.CHANGES])

@@ -115,7 +115,7 @@ def _own(model: Model, q: Array, dq: Array, ddq: Array, rubs: Sequence[Array]) -
 
 
 def look_alikes(model: Model, q: Array, dq: Array, ddq: Array, levels: Sequence[LevelChange]) -> list[LevelChange]:
-    """Laws that the model lacks and that look like a joint's friction, over the same rows, beside what ``levels`` have beside them.
+    """Laws that look like a joint's friction, in the model or not, over the same rows, beside what ``levels`` have beside them.
 
     A level must not be said to have changed where one of these says more.
     """
@@ -126,12 +126,14 @@ def look_alikes(model: Model, q: Array, dq: Array, ddq: Array, levels: Sequence[
             continue
         for j, joint in enumerate(model.joints):
             shares = next((c.beside for c in levels if c.friction and c.joint == j and c.beside.shape[2]), None)
-            if shares is None or any((f.effect, f.joint) == (law.name, joint) for f in model.effects):
+            if shares is None:
                 continue
-            columns = _columns(model, Fitted(law.name, joint, {}), law, q, dq, ddq)
-            none = np.zeros(len(law.terms))
-            levels_of = tuple(_said_of(law, 0.0, k) for k in range(len(law.terms)))
-            out.append(LevelChange(j, columns, shares, levels_of, none, none, friction=True))
+            f = next((f for f in model.effects if (f.effect, f.joint) == (law.name, joint)), Fitted(law.name, joint, {}))
+            before = np.array([f.values.get(t.symbol, 0.0) for t in law.terms])
+            error = np.array([f.std.get(t.symbol) or 0.0 for t in law.terms])
+            said = tuple(_said_of(law, float(x), k) for k, x in enumerate(before))
+            columns = _columns(model, f, law, q, dq, ddq)
+            out.append(LevelChange(j, columns, shares, said, error, limit.DAILY * np.abs(before), friction=True))
     return out
 
 
