@@ -75,6 +75,17 @@ def test_monitored_ramps_allow_what_the_monitor_allows() -> None:
         assert inside
 
 
+@pytest.mark.parametrize(("share", "left"), [(1.0, 8), (1.2, 1)])
+def test_no_cell_lies_in_another(share: float, left: int) -> None:
+    """What is left of the line's slices: their first box lies in the second, and with drives that may accelerate all do in the last."""
+    cells = failed_cells(Ramp.stated(6, time=0.4).failing(monitored=True, share=share), np.full(6, 1.0))
+    assert len(cells) == left
+    for a in cells:
+        assert not any(
+            np.all(a.travel <= b.travel) and np.all(a.share <= b.share) and a.time <= b.time for b in cells if b is not a
+        )  # fmt: skip
+
+
 @pytest.mark.parametrize("together", [True, False])
 def test_cut_cells_cover_the_cell(together: bool) -> None:
     rng, dq = np.random.default_rng(2), np.array([1.0, 0.5, 0.0])

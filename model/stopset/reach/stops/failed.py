@@ -74,7 +74,10 @@ class StatesAtCut:
 
 
 def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
-    """The boxes to begin with; none where nothing says when power is taken."""
+    """The boxes to begin with, but those that lie in the next one, which is later: so does their stop.
+
+    None where nothing says when power is taken.
+    """
     n, top = len(dq), ramp.share
 
     def cell(path_time: float, speed: float, time: float) -> StatesAtCut:
@@ -84,14 +87,17 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
         return [] if ramp.off_after is None else [cell(top * ramp.off_after, top, ramp.off_after)]
     lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
     control = float(np.max(ramp.control.hi))
-    out = []
+    out: list[StatesAtCut] = []
     for k in range(SLICES + 1):  # left in slice k, until whose start the speed was below the line
         line = min(top, 1.0 - max(k - 1, 0) / SLICES + ramp.tolerance)
         s = k / SLICES
         path_time = control * min(top, 1.0 + ramp.tolerance) + lasts * (s - 0.5 * s * s + ramp.tolerance * s)
         # without drives that accelerate the speed stays below the line while power is being taken
         speed = line if top <= 1.0 else top
-        out.append(cell(path_time + ramp.reaction * speed, speed, control + lasts * s + ramp.reaction))
+        here = cell(path_time + ramp.reaction * speed, speed, control + lasts * s + ramp.reaction)
+        if out and np.all(out[-1].share <= here.share) and np.all(out[-1].travel <= here.travel):
+            out.pop()
+        out.append(here)
     return out
 
 
@@ -190,5 +196,7 @@ def failed_stops(setting: Setting, ramp: Ramp, start: Start, tubes: tuple[int, i
             return [(c, plant) for c in cell.halves(dq, together=ramp.together)]
         return [(cell, p) for p in halves(plant, q, lasts)]
 
-    least = tubes[0] + tubes[0] // SLICE * (len(cells) - 1)
-    return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), (least, tubes[1]))
+    least = tubes[0] + (tubes[0] // SLICE * SLICES if ramp.monitored else 0)
+    # in a loop a box that is the only one is tried by joint speeds; of many the kinetic energy says more
+    budget = (0, 0) if fast and ramp.monitored else (least, tubes[1])
+    return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), budget)

@@ -235,10 +235,11 @@ def _step(c: Case, k: int, column: int) -> float | None:
     return 0.5 * float(least + most) if least <= most else None
 
 
-def late_torque(c: Case, pushes: Pushes | None) -> Cause | None:
+def late_torque(c: Case, pushes: Pushes) -> Cause | None:
     """Torque that was told later than it acted: moved back in time it agrees, and no law explains the ``pushes`` far better.
 
-    In wide sets a motion back and forth lets a little delay pass for a weak spring.
+    In wide sets a motion back and forth lets a little delay pass for a weak spring; and what is outside by a hair agrees after any
+    change, so the pushes are asked where none is more than the model may lack, too.
     """
     tau, y = c.w.tau, c.model.pushes(c.readings)
     width, rows = c.model.U_hi - c.model.U_lo, np.arange(len(c.w))
@@ -253,7 +254,7 @@ def late_torque(c: Case, pushes: Pushes | None) -> Cause | None:
         c.pause()
     for _, late, since, joint in sorted(tried, key=lambda x: (x[0], x[1]))[:TRIED]:
         more = _earlier(tau, late, np.flatnonzero(rows >= since), joint)
-        if pushes is not None and pushes.lawful_beside(pushes.left_by(c, more)):
+        if pushes.lawful_beside(pushes.left_by(c, more)):
             continue
         u = c.readings.u + more
         if c.holds(Readings(c.readings.x[:-late], u[:-late], c.readings.good[:-late])):
@@ -318,8 +319,8 @@ def _fit(c: Case, y: Array, course: Callable[[int], Array], onsets: list[int]) -
 
 @dataclass(frozen=True, slots=True)
 class Pushes:
-    """What the model lacks of torque ``values`` (N, n) [N m], ``beyond`` what it may lack; in ``joint``, where that is most, the
-    steady, the growing and the lawful push that explain it best, the law by the signal ``goes_with``."""
+    """What the model lacks of torque ``values`` (N, n) [N m], ``beyond`` what it may lack; in ``joint``, where that is most, or the
+    most of what it may lack, the steady, the growing and the lawful push that explain it best, the law by the signal ``goes_with``."""
 
     values: Array
     beyond: Array
@@ -330,14 +331,10 @@ class Pushes:
     goes_with: str
 
     @classmethod
-    def of(cls, c: Case) -> Pushes | None:
-        """None where no push of its own is more than the model may lack."""
-        values = c.model.pushes(c.readings)
+    def of(cls, c: Case) -> Pushes:
+        values, width = c.model.pushes(c.readings), c.model.U_hi - c.model.U_lo
         beyond = c.model.beyond(values)
-        felt = np.flatnonzero(beyond.max(axis=0) > 0.0)
-        if not len(felt):
-            return None
-        j = int(felt[np.argmax((beyond / (c.model.U_hi - c.model.U_lo)).max(axis=0)[felt])])
+        j = int(np.argmax(((beyond if beyond.any() else np.abs(values - c.model.middle)) / width).max(axis=0)))
         y = (values - c.model.middle)[:, j]
         rows = np.arange(len(c.w))[:, None]
         onsets = list(range(min(c.at + 1, len(rows) - c.model.steps - 4)))
@@ -347,6 +344,11 @@ class Pushes:
         laws = {name: _fit(c, y, lambda k, x=x: np.where(rows >= k, x, 0.0), onsets) for name, x in _columns(c, j)}  # type: ignore[misc]
         goes_with, law = min(laws.items(), key=lambda item: item[1].left)
         return cls(values, beyond, j, step, ramp, law, goes_with)
+
+    @property
+    def felt(self) -> bool:
+        """Whether some push of its own is more than the model may lack."""
+        return bool(self.beyond.any())
 
     def lawful_beside(self, left: float) -> bool:
         """Whether the law explains far more than what leaves this part of the pushes' squares."""
@@ -359,10 +361,8 @@ class Pushes:
         return float(rest @ rest) / (float(y @ y) or 1.0)
 
 
-def pushed(c: Case, pushes: Pushes | None) -> Cause:
+def pushed(c: Case, pushes: Pushes) -> Cause:
     """Contact, drift or missing effect: the push that the model lacks, by its course in time and what it goes with."""
-    if pushes is None:
-        return _crept(c)
     j, law, ramp = pushes.joint, pushes.law, pushes.ramp
     if pushes.lawful_beside(min(pushes.step.left, ramp.left)):
         what, name = c.model.joints[j], pushes.goes_with
@@ -370,6 +370,8 @@ def pushed(c: Case, pushes: Pushes | None) -> Cause:
             Kind.MISSING_EFFECT, f"{what} needs a torque that goes with its {name}: an effect that the model lacks, or that has changed",
             j, law.onset, signal="tau", size=law.size, unit="", depends_on=name,
         )  # fmt: skip
+    if not pushes.felt:
+        return _crept(c)
     if min(c.at, int(np.argmax(pushes.beyond[:, j] > 0.0))) < round(AHEAD / c.model.dt):
         return _untold(c, 0, f"to tell how the push on {c.model.joints[j]} began")
     if _sharp(c, pushes.values[:, j]) or pushes.step.left <= ramp.left:

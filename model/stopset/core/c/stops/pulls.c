@@ -90,24 +90,29 @@ static double away(double loose, double spread, double scale, double shared) {
     return least(loose, shared * spread) + stopset_rate_rounding * (scale + loose);
 }
 
-/* Row i of a joint inside: its speed. Its own entry is below zero: a pivot makes it so, others lower it. */
+/* Row i of a joint inside: its speed. Its own entry is below zero: a pivot makes it so, others lower it. What another set of joints has said
+ * better already, even were this one exact, is not asked how loose it is. */
 static void read_speed(const Along *A, const Rows *rows, int i, Exchange *x) {
     const Met *met = &x->met;
-    const double own = A->own[i], size = size_of(own);
+    const double own = A->own[i], size = size_of(own), lo = -(rows->hi[i] + own * met->lo[i]), hi = -(rows->lo[i] + own * met->hi[i]);
+    if (lo <= x->out->lo[i] && hi >= x->out->hi[i]) return;
     const double mid[2] = {met->mid[i], met->mid[i]}, rad[2] = {met->rad[i], met->rad[i]};
     double spread[2];
     sum_slopes(x->n, A, met, i, mid, rad, spread);
     const double off = away(rows->loose[i] + size * met->loose[i], spread[0] + (rows->beyond[i] + size * met->beyond[i]),
                             rows->scale[i] + size * met->size[i], x->shared);
-    x->out->lo[i] = most(x->out->lo[i], -(rows->hi[i] + own * met->lo[i]) - off);
-    x->out->hi[i] = least(x->out->hi[i], -(rows->lo[i] + own * met->hi[i]) + off);
+    x->out->lo[i] = most(x->out->lo[i], lo - off);
+    x->out->hi[i] = least(x->out->hi[i], hi + off);
 }
 
 /* Row i of another: how much momentum the others pull at it where it does not move forward, and where it does not move backward. */
 static void read_pulls(const Along *A, const Rows *rows, int i, Exchange *x) {
     const double own = A->own[i], v_lo = x->v->lo[i], v_hi = x->v->hi[i], loose = rows->loose[i] + x->loose[i];
     const double lo[2] = {v_lo, most(v_lo, 0.0)}, hi[2] = {least(v_hi, 0.0), v_hi};
+    const double up = rows->hi[i] + own * (own > 0.0 ? hi[0] : lo[0]), down = rows->lo[i] + own * (own > 0.0 ? lo[1] : hi[1]);
+    const int more_up = v_lo <= 0.0 && !(up >= x->rest->hi[i]), more_down = v_hi >= 0.0 && !(down <= x->rest->lo[i]);
     double mid[2], rad[2], spread[2], off[2];
+    if (!more_up && !more_down) return;
     for (int k = 0; k < 2; k++) {
         mid[k] = 0.5 * (lo[k] + hi[k]);
         rad[k] = 0.5 * (hi[k] - lo[k]);
@@ -115,8 +120,8 @@ static void read_pulls(const Along *A, const Rows *rows, int i, Exchange *x) {
     sum_slopes(x->n, A, &x->met, i, mid, rad, spread);
     for (int k = 0; k < 2; k++)
         off[k] = away(loose, spread[k] + (rows->beyond[i] + x->beyond[i]), rows->scale[i] + size_of(own) * largest(lo[k], hi[k]), x->shared);
-    if (v_lo <= 0.0) x->rest->hi[i] = least(x->rest->hi[i], rows->hi[i] + own * (own > 0.0 ? hi[0] : lo[0]) + off[0]);
-    if (v_hi >= 0.0) x->rest->lo[i] = most(x->rest->lo[i], rows->lo[i] + own * (own > 0.0 ? lo[1] : hi[1]) - off[1]);
+    if (more_up) x->rest->hi[i] = least(x->rest->hi[i], up + off[0]);
+    if (more_down) x->rest->lo[i] = most(x->rest->lo[i], down - off[1]);
 }
 
 /* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
@@ -126,7 +131,7 @@ static void read_rows(const Along *A, Exchange *x) {
     for (int i = 0; i < x->n; i++) {
         if (x->inside[i])
             read_speed(A, &rows, i, x);
-        else
+        else if (x->rest)
             read_pulls(A, &rows, i, x);
     }
 }
@@ -153,12 +158,13 @@ static void visit(const Along *A, int k, Exchange *x) {
         return;
     }
     const int joint = x->open[k];
+    if (A->own[joint] > 1e-6 * x->start.own[joint]) { /* first, as all momenta together mostly say the most */
+        stops_pivot_along(x->n, A, joint, &B);
+        meet(x, joint, 1);
+        visit(&B, k + 1, x);
+        meet(x, joint, 0);
+    }
     visit(A, k + 1, x);
-    if (!(A->own[joint] > 1e-6 * x->start.own[joint])) return;
-    stops_pivot_along(x->n, A, joint, &B);
-    meet(x, joint, 1);
-    visit(&B, k + 1, x);
-    meet(x, joint, 0);
 }
 
 /* Joint k into the moving set: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement. */
@@ -236,8 +242,8 @@ static void looseness(const Near *near, const Inverse *inverse, const Span *v, c
     }
 }
 
-/* For speeds in v and momenta in p: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo); infinite
- * where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
+/* For speeds in v and momenta in p: speeds (out), and where asked momenta of joints that do not move forward (rest.hi) or backward (rest.lo);
+ * infinite where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
 static void exchange(const Near *near, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
     const int n = near->E.n;
     double fast[SN] = {0.0}, push[SN];
@@ -255,8 +261,10 @@ static void exchange(const Near *near, const Inverse *inverse, const Span *v, co
     for (int i = 0; i < n; i++) {
         out->lo[i] = -STOPS_INF;
         out->hi[i] = STOPS_INF;
-        rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
-        rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
+        if (rest) {
+            rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
+            rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
+        }
         if (v->hi[i] > v->lo[i]) x.open[x.count++] = i;
         meet(&x, i, 0);
     }
@@ -324,14 +332,13 @@ static void during(int n, const Span *p, const Span *any, double h, Span *out) {
     }
 }
 
-/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), the momenta, what these leave of the speeds, and what
- * pulls at a joint at rest. */
+/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), the momenta, and what these leave of the speeds. */
 typedef struct {
-    Span any, on, momenta, speeds, rest;
+    Span any, on, momenta, speeds;
 } Pulls;
 
-/* On a step with speeds in w, from momenta p. */
-static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out) {
+/* On a step with speeds in w, from momenta p; `rest`, where asked: what pulls at a joint at rest. */
+static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out, Span *rest) {
     const int n = near->E.n;
     Inverse room;
     const Inverse *inverse = invert(near, &room) ? &room : 0;
@@ -341,7 +348,7 @@ static void pulls_on(const Near *near, const Step *s, const Span *w, const Span 
         rates(near, inverse, s, w, &out->momenta, &out->any, &out->on);
         during(n, p, &out->any, s->h, &out->momenta);
     }
-    exchange(near, inverse, w, &out->momenta, &out->speeds, &out->rest);
+    exchange(near, inverse, w, &out->momenta, &out->speeds, rest);
 }
 
 void stops_start_pulls(const Local *at, const Span *v, Span *p) {
@@ -384,7 +391,7 @@ void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, co
             there.hi[i] = x->hi[i] + h * most(claim.hi[i], 0.0);
         }
         stops_box_terms(near, &there, &claim, &near->at);
-        pulls_on(near, s, &claim, p, &found);
+        pulls_on(near, s, &claim, p, &found, 0);
         for (int i = 0; i < n; i++) {
             if (!(raw->lo[i] > claim.lo[i]) && claim.lo[i] > -fastest[i]) {
                 enough = 0;
@@ -408,8 +415,9 @@ void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span
     const int n = near->E.n, pulled = near->parts->pull > 0.0;
     const double h = s->h;
     Pulls found;
-    const Span *any = &found.any, *on = &found.on, *rest = &found.rest;
-    pulls_on(near, s, w, p, &found);
+    Span pull;
+    const Span *any = &found.any, *on = &found.on, *rest = &pull;
+    pulls_on(near, s, w, p, &found, &pull);
     for (int i = 0; i < n; i++) {
         const double hi = p->hi[i] + h * any->hi[i], lo = p->lo[i] + h * any->lo[i], push = most(0.0, h * on->hi[i]), back = least(0.0, h * on->lo[i]);
         const double pull_hi = pulled ? rest->hi[i] + push : -STOPS_INF, pull_lo = pulled ? rest->lo[i] + back : STOPS_INF;
@@ -427,14 +435,14 @@ void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span
 double stops_pull_cut(const Near *near, Span *p, Span *v) {
     const int n = near->E.n;
     double power = 0.0;
-    Span raw, rest, known;
+    Span raw, known;
     Inverse inverse;
     stops_start_pulls(&near->at, v, &known);
     for (int i = 0; i < n; i++) {
         p->lo[i] = most(p->lo[i], known.lo[i]);
         p->hi[i] = least(p->hi[i], known.hi[i]);
     }
-    exchange(near, invert(near, &inverse) ? &inverse : 0, v, p, &raw, &rest);
+    exchange(near, invert(near, &inverse) ? &inverse : 0, v, p, &raw, 0);
     for (int i = 0; i < n; i++) {
         v->lo[i] = most(v->lo[i], raw.lo[i]);
         v->hi[i] = least(v->hi[i], raw.hi[i]);

@@ -9,7 +9,6 @@
 #include "bound.h"
 
 enum { KNOTS = 60, POINTS = 40, SLICES = 8 }; /* of a ramp; of its torque between two joints' rest; by when a monitored one is left */
-static const double ANGLE_WEIGHT = 3.0; /* [1/s] harm of a wide angle against a wide speed */
 
 static double clip(double x, double lo, double hi) { return x < lo ? lo : x > hi ? hi : x; }
 
@@ -231,9 +230,10 @@ typedef struct {
     double path_time, share, time;
 } Cell;
 
-/* All of them; 0 where nothing says when power is taken. */
+/* All of them but those that lie in the next one, which is later: so does their stop. 0 where nothing says when power is taken. */
 static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLICES + 1]) {
     double lasts = -STOPS_INF, control = -STOPS_INF;
+    int count = 0;
     if (!r->monitored) {
         const Cell one = {r->share * r->off_after, r->share, r->off_after};
         cell[0] = one;
@@ -249,28 +249,15 @@ static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLI
         /* without drives that accelerate the speed stays below the line while power is being taken */
         const double speed = r->share <= 1.0 ? line : r->share;
         const Cell one = {path_time + r->reaction * speed, speed, control + lasts * s + r->reaction};
-        cell[k] = one;
+        if (count && cell[count - 1].share <= one.share && cell[count - 1].path_time <= one.path_time) count--;
+        cell[count++] = one;
     }
-    return SLICES + 1;
+    return count;
 }
 
-/* The widest cell is tried by joint speeds, as in stopset.reach.stops.failed with the budget of a loop. */
-static int widest(const Cell *cell, int count, int n, const double *dq) {
-    double worst = -STOPS_INF;
-    int found = 0;
-    for (int k = 0; k < count; k++) {
-        double width = 0.0;
-        for (int i = 0; i < n; i++) width = most(width, most(ANGLE_WEIGHT * size_of(dq[i]) * cell[k].path_time, size_of(dq[i]) * cell[k].share));
-        if (width > worst) {
-            worst = width;
-            found = k;
-        }
-    }
-    return found;
-}
-
-/* One cell's stop, from the box of the request; whether it comes to rest. */
-static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const StopsetStates *request, int alone, const StopsetBound *out) {
+/* One cell's stop, from the box of the request; whether it comes to rest. A box that is the only one is tried by joint speeds first; of many the
+ * kinetic energy says more, as in stopset.reach.stops.failed with the budget of a loop. */
+static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const StopsetStates *request, const StopsetBound *out) {
     const double *q = request->q, *dq = request->dq, *q_radius = request->q_radius, *dq_radius = request->dq_radius;
     const int n = a->stops->plant.arm.n;
     double box[4][SN], lo[SN], hi[SN], speed[SN], fastest[SN];
@@ -292,7 +279,7 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const Stopse
     const double *early = a->stops->plant.delay_lo, *late = a->stops->plant.delay_hi;
     stops_guess(a, region);
     stops_guess(a, region + 1);
-    if (!(alone && stops_march(a, early, late, 0, region, fastest)) && !stops_march(a, early, late, 1, region + 1, fastest)) return 0;
+    if (!(!r->monitored && stops_march(a, early, late, 0, region, fastest)) && !stops_march(a, early, late, 1, region + 1, fastest)) return 0;
     for (int i = 0; i < n; i++) {
         out->time[i] = most(out->time[i], cell->time + stops_rests_after(a, i));
         for (int64_t k = i; k < (a->made + 1) * n; k += n) { /* since the request */
@@ -309,9 +296,9 @@ int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *r, const S
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     Cell cell[SLICES + 1];
     StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
-    const int count = cells_of(r, n, from->dq, cell), first = widest(cell, count, n, from->dq);
+    const int count = cells_of(r, n, from->dq, cell);
     stops_begin(&a, work, out);
     for (int k = 0; k < count; k++)
-        if (!fall(&a, r, cell + k, from, k == first, out)) return 1;
+        if (!fall(&a, r, cell + k, from, out)) return 1;
     return count ? STOPSET_OK : 1;
 }
