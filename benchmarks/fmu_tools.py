@@ -24,6 +24,7 @@ from stopset.effects import catalogue
 from stopset.fmu import Contents, export
 from stopset.fmu.build import native
 from stopset.fmu.check import check_fmu
+from stopset.fmu.stops import stop_refusal
 from stopset.reach.stops.path import Path as StopPath
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -69,7 +70,7 @@ def units(models: list[Path], *, every_effect: bool) -> Iterator[tuple[str, tupl
 def looks(model: Model, fmu: Path, fmi: int) -> list[Callable[[], str]]:
     """What is said of a unit, each by a tool."""
     size = np.minimum(0.5 * model.domain.u.hi, 30.0)
-    drive = Drive(1 if model.brakes is not None else 0, size)
+    drive = Drive(0 if model.brakes is None or stop_refusal(model) else 1, size)
 
     def checked() -> str:
         c = check_fmu(fmu)

@@ -278,6 +278,26 @@ def test_sources_alone_become_the_same_unit_by_another_compiler(tmp_path: Path, 
     assert checked.good and checked.stops == checked.equal == 12
 
 
+@pytest.mark.slow
+def test_fmpy_s_own_project_of_the_sources_becomes_the_same_unit(tmp_path: Path) -> None:
+    """Of CMake; its target is the model's name, which so must be the identifier."""
+    from fmpy.util import create_cmake_project
+
+    if shutil.which("cmake") is None or shutil.which("cc") is None:
+        pytest.skip("cmake or a C compiler is not installed")
+    plain, project = export(braked(8.0, 3), tmp_path / "plain.fmu", Contents(3, source_only=True)), tmp_path / "project"
+    project.mkdir()
+    create_cmake_project(str(plain), str(project))
+    for words in (
+        ["-S", str(project), "-B", str(tmp_path / "build"), "-DCMAKE_BUILD_TYPE=Release"],
+        ["--build", str(tmp_path / "build")],
+    ):
+        done = subprocess.run(["cmake", *words], capture_output=True, text=True, timeout=600, check=False)
+        assert done.returncode == 0, done.stdout[-1000:] + done.stderr[-1000:]
+    checked = check_fmu(project / "stopset_test_arm.fmu")
+    assert checked.good and checked.stops == checked.equal == 12
+
+
 def test_compiler_options_say_whose_they_are() -> None:
     """The FMI-VDM rule validCompilerOptions."""
     assert 'compiler="gcc" compilerOptions="-std=c11 -ffp-contract=off"' in build_description("a", ["a.c"])

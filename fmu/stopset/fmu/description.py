@@ -84,9 +84,9 @@ def description(model: Model, variables: Variables, identifier: str, token: str,
     indicators = variables.count("INDICATOR")
     head = {
         "fmiVersion": "2.0" if fmi == 2 else "3.0",
-        "modelName": f"{model.robot.name} model {model.abstraction.kind}",
+        "modelName": identifier,  # fmpy's CMake project of the sources knows no other target, and no name with spaces
         "guid" if fmi == 2 else "instantiationToken": token,
-        "description": f"Identified dynamics of {model.robot.name} with conformance bounds. {NOTICE}",
+        "description": f"Identified dynamics of {model.robot.name} (model {model.abstraction.kind}) with conformance bounds. {NOTICE}",
         "author": "stopset",
         "license": "Apache-2.0",
         "version": str(len(model.revisions) or 1),
