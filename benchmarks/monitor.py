@@ -142,6 +142,8 @@ def prepared(
     outlet = Outlet() if recorder is None else Overheard(Outlet(), recorder)
     daemon = Daemon(config, model, source, outlet, profile.cycle_s, Beside(signer=KEY, clock=clock, desk=desk, recorder=recorder))
     daemon._next_json = daemon._next_health = 1e18
+    clock.now, bus.ready = clock.now + profile.cycle_s, bus.cycles.pop(0)
+    source.next(0.0)  # the first cycle of a bus that is running already is not given out
     return daemon, bus, clock
 
 

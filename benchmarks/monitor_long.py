@@ -44,8 +44,8 @@ def resident_kb() -> int:
 
 def stamped(bus: Frames, k: int, overflow: int) -> None:
     """Cycle ``k`` of the life is the next to come: the run's frames again, later and counted on."""
-    run, at = divmod(k, CYCLES)
-    batch, place = bus.cycles[at], k + run * LOST
+    run, at = divmod(k, len(bus.cycles))
+    batch, place = bus.cycles[at], k + 1 + run * LOST  # after the one with which the bus was joined
     for i in range(batch.count):
         batch.frames[i].t = 1_700_000_000.0 + place * DT
     batch.frames[0].data[0] = place % overflow + 1

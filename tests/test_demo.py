@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,11 @@ import pytest
 
 from stopset.cli.main import main
 from stopset.cli.story import chapters
-from stopset.cli.story.cell import Subscriber
+from stopset.cli.story.cell import MonitoredCell, Subscriber
 from stopset.cli.story.telling import Asides
 from stopset.errors import StopsetError
+from stopset.monitor.journal import FileStore, Journal
+from stopset.monitor.latch import Latch, Record
 from test_hidden_effects import ARM
 
 
@@ -84,3 +87,17 @@ def test_what_runs_beside_the_story_is_shown_when_it_failed(capsys: pytest.Captu
         with pytest.raises(StopsetError, match=r"`stopset history` ended with 2: .*nowhere\.model\.json"):
             beside.begin("history", "nowhere.model.json").result()
     assert "$ stopset inspect --help &" in capsys.readouterr().out
+
+
+def test_a_second_demonstration_in_a_folder_begins_without_the_violation_of_the_first(tmp_path: Path) -> None:
+    MonitoredCell.built(tmp_path, can=True)
+    path, first = tmp_path / "arm.latch", asdict(Record())
+    journal = Journal(FileStore(path, first))
+    latch = Latch(journal)
+    latch.record.why = "left the model"
+    latch.save(0.0)
+    latch.close()
+    MonitoredCell.built(tmp_path, can=True)
+    again = Latch(Journal(FileStore(path, first)))
+    assert not again.latched, again.record.why
+    again.close()

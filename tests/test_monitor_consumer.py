@@ -168,15 +168,13 @@ def test_every_state_but_ok_and_degraded_passes_and_nonsense_is_fault() -> None:
 # ---- keys -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [0, 1, 20, 32, 63, 64])
+@pytest.mark.parametrize("size", [1, 20, 32, 64, 65])
 def test_a_code_is_that_of_hmac_whatever_was_signed_before(size: int) -> None:
     """The key is taken in once: no message may leave a trace in it."""
     key, rng = Key(1, bytes(range(size))), random.Random(size)
     for _ in range(50):
         data = rng.randbytes(rng.randrange(700))
         assert key.code(memoryview(data)) == hmac.digest(key.secret, data, "sha256")[:16]
-    with pytest.raises(ValueError, match="65 bytes"):
-        Key(1, bytes(65))
 
 
 def test_keys_change_without_a_gap(tmp_path: Path) -> None:

@@ -8,20 +8,17 @@ it first at the daemon, then take the old one away. No key file, no code: then o
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from stopset.errors import StopsetError
 from stopset.monitor.layout import MAC
 
 KEY_BYTES = 32
 MAX_KEYS = 16
-BLOCK = 64  # bytes that SHA-256 takes in at once
 
 
 class KeyFileError(StopsetError):
@@ -30,26 +27,20 @@ class KeyFileError(StopsetError):
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One secret of at most `BLOCK` bytes; ``key_id`` names it in the message."""
+    """One secret; ``key_id`` names it in the message."""
 
     key_id: int
     secret: bytes
-    # SHA-256 that has taken the secret in, once for all messages (RFC 2104, section 4)
-    _inner: Any = field(init=False, compare=False)
-    _outer: Any = field(init=False, compare=False)
+    _begun: hmac.HMAC = field(init=False, compare=False)  # has taken the secret in, once for all messages
 
     def __post_init__(self) -> None:
-        if len(self.secret) > BLOCK:
-            raise ValueError(f"a secret of {len(self.secret)} bytes, expected at most {BLOCK}")
-        for name, pad in (("_inner", 0x36), ("_outer", 0x5C)):
-            object.__setattr__(self, name, hashlib.sha256(bytes(x ^ pad for x in self.secret.ljust(BLOCK, b"\0"))))
+        object.__setattr__(self, "_begun", hmac.new(self.secret, digestmod="sha256"))
 
     def code(self, data: bytes | bytearray | memoryview) -> bytes:
         """The authentication code of ``data``."""
-        inner, outer = self._inner.copy(), self._outer.copy()
-        inner.update(data)
-        outer.update(inner.digest())
-        return bytes(outer.digest()[:MAC])
+        one = self._begun.copy()
+        one.update(data)
+        return one.digest()[:MAC]
 
     def __repr__(self) -> str:
         return f"Key({self.key_id}, ...)"  # a secret never gets into a log

@@ -52,9 +52,9 @@ class MonitoredCell:
             f"[stops]\nramp_time_s = {RAMP_S}\nramp_off_after_s = {OFF_AFTER_S}\n\n"
             '[signed]\nkeys = ["release.pub"]\nleast_revision = 0\n'
         )
-        (out / "arm.latch").unlink(missing_ok=True)  # of an earlier demonstration in this folder
-        for old in (out / "arm.record").glob("violation-*"):
-            old.unlink()
+        # of an earlier demonstration in this folder; a journal that is gone while what remembers it stands is a latched violation
+        for old in (out / "arm.latch", *out.glob(".arm.latch.*"), *(out / "arm.record").glob("violation-*")):
+            old.unlink(missing_ok=True)
         to = ("--to", f"hub:{hub}", "--wait", "1") if can else ("--to", f"zenoh:{endpoint}", "--key", key)
         return cls(out, config, endpoint, to)
 

@@ -95,7 +95,7 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
         # without drives that accelerate the speed stays below the line while power is being taken
         speed = line if top <= 1.0 else top
         here = cell(path_time + ramp.reaction * speed, speed, control + lasts * s + ramp.reaction)
-        if out and np.all(out[-1].share <= here.share) and np.all(out[-1].travel <= here.travel):
+        if out and np.all(out[-1].share <= here.share):  # later, no joint has travelled less
             out.pop()
         out.append(here)
     return out

@@ -177,7 +177,7 @@ void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out)
     const StopsetParts *parts = near->parts;
     const double *of_gravity = near->plant->curvature.g, *x_lo = x->lo, *x_hi = x->hi, *w_lo = w->lo, *w_hi = w->hi;
     const int n = E->n;
-    double mid[SN], rad[SN], far[SN], vc[SN], vr[SN], va[SN];
+    double mid[SN], rad[SN], far[SN] = {0.0}, vc[SN], vr[SN], va[SN];
     Products speeds;
     Velocity v;
     for (int k = 0; k < n; k++) {

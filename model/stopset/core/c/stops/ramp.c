@@ -249,7 +249,7 @@ static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLI
         /* without drives that accelerate the speed stays below the line while power is being taken */
         const double speed = r->share <= 1.0 ? line : r->share;
         const Cell one = {path_time + r->reaction * speed, speed, control + lasts * s + r->reaction};
-        if (count && cell[count - 1].share <= one.share && cell[count - 1].path_time <= one.path_time) count--;
+        if (count && cell[count - 1].share <= one.share) count--; /* later, no joint has travelled less */
         cell[count++] = one;
     }
     return count;
