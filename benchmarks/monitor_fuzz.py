@@ -56,7 +56,7 @@ from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import unpack
-from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.canopen_map import Encoder, frame_maps
 from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.links.hub import HubClient
 from stopset.monitor.links.rtde_client import ASK_VERSION, DATA, HEAD, OUTPUTS, START, TEXT, RtdeClient
@@ -76,17 +76,8 @@ IN_MEMORY = ("joint_states JSON", "joint_states CDR", "reset", "state message", 
 LONGEST = 10.0  # [s] of processor time that an input may take
 PROFILE = load_profile("lwa4p/monitor")
 DRIVES = 1  # of the logs' arm
-OBJECTS = (
-    "1802",
-    "1803",
-    "1A02",
-    "1A03",
-    "200D",
-    "6041",
-    "6064",
-    "606C",
-    "6077",
-)  # of a drive's dictionary that frames are made of
+MOTION = ("1802", "1A02", "6064", "606C")  # objects of a drive's dictionary that make the frame of its motion
+OBJECTS = (*MOTION, "1803", "1A03", "200D", "6041", "6077")  # and the other one
 BLF_HEAD = struct.Struct(
     "<4sHHIIH6xI4x"
 )  # of an object that holds others, python-can's: LOBJ, sizes, kind; method, bytes unpacked
@@ -203,11 +194,16 @@ def small_model() -> Model:
     )  # fmt: skip
 
 
+def dictionary(objects: tuple[str, ...]) -> str:
+    """These objects of the shipped DCF."""
+    sections = re.split(r"^(?=\[)", PROFILE.dcf.read_text(), flags=re.MULTILINE)
+    return "".join(x for x in sections if re.match(rf"\[(DeviceInfo|({'|'.join(objects)})(sub\d)?)\]", x))
+
+
 def small_arm(folder: Path) -> Profile:
     """The first `DRIVES` of the shipped profile, with a dictionary of the objects that their frames are made of."""
     dcf = folder / "small.dcf"
-    sections = re.split(r"^(?=\[)", PROFILE.dcf.read_text(), flags=re.MULTILINE)
-    dcf.write_text("".join(x for x in sections if re.match(rf"\[(DeviceInfo|({'|'.join(OBJECTS)})(sub\d)?)\]", x)))
+    dcf.write_text(dictionary(OBJECTS))
     nodes = dict(list(PROFILE.nodes.items())[:DRIVES])
     signals = {name: replace(s, scale=s.scale[:DRIVES]) for name, s in PROFILE.signals.items()}
     return replace(PROFILE, dcf=dcf, nodes=nodes, signals=signals, axes=PROFILE.axes[:DRIVES])
@@ -405,7 +401,7 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "CAN frames": [b"".join(c.to_bytes(2, "little") + bytes([len(d), 0]) + d.ljust(9, b"\0") for _, c, d in stream[:26])],
         "viewer": [json.dumps(twin).encode(), b'{"kind": "gap", "why": "x"}', pack({"data_id": 1})],
         "configuration": [config], "profile": [small_profile().encode()], "keys": [f"1 {'11' * 32}\n".encode()],
-        "EDS": [small.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
+        "EDS": [dictionary(MOTION).encode()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
         "MCAP": [out.getvalue()], "MCAP of a violation": [record(CompressionType.NONE), record(CompressionType.ZSTD)], "db3": [db.read_bytes()],
         "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
         "played log": files[".log"], "candump.gz": [gzip.compress(files[".log"][0])], "db3.zstd": [zstandard.compress(db.read_bytes())],
@@ -427,12 +423,8 @@ def conversation() -> bytes:
 def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     """By the names of `good_inputs`."""
     small = small_arm(folder)
-    profile_text = small_profile()
-    beside = folder / "eds"
-    beside.mkdir()
+    moving = replace(small, signals={name: small.signals[name] for name in ("q", "dq")})
     (folder / "monitor.dcf").write_bytes(small.dcf.read_bytes())
-    (beside / "p.toml").write_text(profile_text.replace("monitor.dcf", "fuzz.dcf"))
-    (beside / "fuzz.dcf").write_text("")
 
     def bag(path: Path) -> object:
         return list(trials_of_bag(path, "/joint_states", None, None, 0))
@@ -448,7 +440,7 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
 
     files: dict[str, tuple[str, Callable[[Path], object], Path]] = {
         "configuration": (".toml", load_config, folder), "profile": ("p.toml", profile, folder),
-        "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda _: profile(beside / "p.toml"), beside),
+        "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda path: frame_maps(replace(moving, dcf=path)), folder),
         "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder),
         "MCAP of a violation": (".seen.mcap", seen, folder), "db3": (".db3", bag, folder),
         "candump": (".log", log, folder), "ASC": (".asc", log, folder), "BLF": (".blf", log, folder), "TRC": (".trc", log, folder),
@@ -560,6 +552,7 @@ def main() -> int:
     memory = Path("/dev/shm")  # a file system in memory, where there is one
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as place:
         folder = Path(place)
+        tempfile.tempdir = place
         seeds = good_inputs(folder)
         # whoever has had least comes first: a run may be ended before its end
         for name, parse in sorted(parsers(folder).items(), key=lambda item: sum(kept.get(item[0], {}).values())):
