@@ -7,7 +7,6 @@ box. The answer is where the first stretch keeps its limits no more. It is advic
 from __future__ import annotations
 
 import contextlib
-import multiprocessing as mp
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -17,6 +16,7 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import Masses, StopLimits, Stops
+from stopset.monitor.spawned import Spawned
 from stopset.types import Array
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def largest_override(bound: Bound, q: Array, dq: Array, limits: StopLimits) -> f
     return 1.0
 
 
-def _advise(
+def work(
     model_path: str, sha256: str, payload: Masses | None, stops: Stops, limits: StopLimits, pipe: Connection
 ) -> None:  # fmt: skip
     """The other process: takes a state, gives its override."""
@@ -76,13 +76,10 @@ class Advisor:
     _next: float = float("-inf")
 
     def __post_init__(self) -> None:
-        context = mp.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        c = self.config
-        args = (c.model, self.sha256, c.payload_kg, c.stops, c.limits, theirs)
-        self._process = context.Process(target=_advise, args=args, daemon=True, name="override")
-        self._process.start()
-        theirs.close()
+        c, spawned = self.config, Spawned.begin(__name__, "override")
+        self._process, self._pipe = spawned.process, spawned.pipe
+        with contextlib.suppress(OSError):  # it has ended: no advice
+            spawned.assign(c.model, self.sha256, c.payload_kg, c.stops, c.limits)
 
     def offer(self, now: float, t: float, q: Array, dq: Array) -> None:
         """The newest state, at ``now`` [s, monotonic]; takes an answer if there is one. Never waits, never raises."""
