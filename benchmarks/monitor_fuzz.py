@@ -151,8 +151,8 @@ def spoilt_tree(rng: random.Random, data: bytes) -> Any:
                 x[rng.choice(["", "x", str(m)])] = copy.deepcopy(y[m])
             else:
                 x[k] = copy.deepcopy(y[m])
-        except (LookupError, TypeError):
-            continue  # a change before has taken the way away
+        except (LookupError, TypeError, OverflowError):
+            continue  # a change before has taken the way away, or put a number there that no float holds
     return tree
 
 

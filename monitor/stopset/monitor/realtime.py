@@ -33,11 +33,16 @@ def claim(*, lock: bool = False, priority: int = 0, cores: tuple[int, ...] = (),
     if lock:
         said["memory lock"] = _tried(_lock_memory)
     if cores:
-        said[f"cores {', '.join(map(str, cores))}"] = _tried(lambda: [os.sched_setaffinity(pid, cores) for pid in (0, *begun)])
+        said[f"cores {', '.join(map(str, cores))}"] = _tried(lambda: _keep_to(cores, (0, *begun)))
     if priority:
         policy, level = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority)
         said[f"FIFO priority {priority}"] = _tried(lambda: os.sched_setscheduler(0, policy, level))
     return Granted(said)
+
+
+def _keep_to(cores: tuple[int, ...], processes: tuple[int, ...]) -> None:
+    for pid in processes:
+        os.sched_setaffinity(pid, cores)
 
 
 def _lock_memory() -> None:
@@ -46,7 +51,7 @@ def _lock_memory() -> None:
         raise OSError(code, os.strerror(code))
 
 
-def _tried(ask: Callable[[], object]) -> str:
+def _tried(ask: Callable[[], None]) -> str:
     try:
         ask()
     except (OSError, AttributeError) as e:  # not allowed, or not on this system
