@@ -142,7 +142,7 @@ def spoilt_tree(rng: random.Random, data: bytes) -> Any:
             if kind == 0:
                 del x[k]
             elif kind == 1:
-                x[k] = rng.choice(TERRIBLE)
+                x[k] = copy.deepcopy(rng.choice(TERRIBLE))
             elif kind == 2 and isinstance(x[k], int | float):
                 x[k] *= rng.choice([-1, 0, 1e-9, 1e9, 1.5])
             elif kind == 3 and isinstance(x, list):

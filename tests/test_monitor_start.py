@@ -18,15 +18,15 @@ from stopset.artifact import save_model
 from stopset.monitor.config import Stops
 from stopset.monitor.realtime import GOT, claim
 from stopset.monitor.sample import Quantum
-from stopset.monitor.spawned import STOP_BOUNDS, Spawned
+from stopset.monitor.spawned import Spawned
 from stopset.monitor.stopdesk import StopDesk, seen_by
 
 BEGUN = """
 import sys
 from stopset.monitor.spawned import Spawned
 
-def begin(cls, module, name):
-    print(module, sorted({"numpy", "zenoh", "stopset.monitor.service"} & set(sys.modules)))
+def begin(cls, load, name):
+    print(name, sorted({"numpy", "zenoh", "stopset.monitor.service"} & set(sys.modules)))
     raise SystemExit(0)
 
 Spawned.begin = classmethod(begin)
@@ -47,7 +47,7 @@ def said_by(code: str, *words: str) -> str:
 
 def test_what_bounds_stops_begins_to_load_before_the_daemon_does(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text('model = "m.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n')
-    assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == f"{STOP_BOUNDS[0]} []"
+    assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == "stop-bounds []"
 
 
 def test_the_daemon_loads_nothing_that_only_recordings_or_proofs_need() -> None:
@@ -56,7 +56,7 @@ def test_the_daemon_loads_nothing_that_only_recordings_or_proofs_need() -> None:
 
 def test_a_desk_takes_the_process_that_was_begun_and_another_when_that_ends(tmp_path: Path) -> None:
     model = save_model(known_model(), tmp_path / "m.model.json")
-    begun, still = Spawned.begin(*STOP_BOUNDS), np.zeros(6)
+    begun, still = Spawned.bounding_stops(), np.zeros(6)
     desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
 
     def bounded() -> bool:
@@ -74,7 +74,7 @@ def test_a_desk_takes_the_process_that_was_begun_and_another_when_that_ends(tmp_
 
 def test_a_process_that_has_ended_before_it_is_assigned_is_begun_anew(tmp_path: Path) -> None:
     model = save_model(known_model(), tmp_path / "m.model.json")
-    begun, still = Spawned.begin(*STOP_BOUNDS), np.zeros(6)
+    begun, still = Spawned.bounding_stops(), np.zeros(6)
     begun.process.kill()
     begun.process.join()
     desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
@@ -90,7 +90,7 @@ def test_a_process_that_has_ended_before_it_is_assigned_is_begun_anew(tmp_path: 
 
 
 def test_a_process_nobody_assigns_ends_with_who_began_it() -> None:
-    begun = Spawned.begin(*STOP_BOUNDS)
+    begun = Spawned.bounding_stops()
     begun.pipe.close()
     begun.process.join(60.0)
     assert begun.process.exitcode == 0
@@ -98,7 +98,7 @@ def test_a_process_nobody_assigns_ends_with_who_began_it() -> None:
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core is all there is")
 def test_it_goes_to_the_cores_that_the_loop_is_given() -> None:
-    all_cores, begun = os.sched_getaffinity(0), Spawned.begin(*STOP_BOUNDS)
+    all_cores, begun = os.sched_getaffinity(0), Spawned.bounding_stops()
     core = min(all_cores)
     try:
         granted = claim(cores=(core,), begun=(begun.process.pid,))

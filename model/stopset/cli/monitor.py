@@ -16,10 +16,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stopset.cli.common import say
     from stopset.monitor.config import load_config
-    from stopset.monitor.spawned import STOP_BOUNDS, Spawned
+    from stopset.monitor.spawned import Spawned
 
     config = load_config(args.config)
-    begun = Spawned.begin(*STOP_BOUNDS)  # it loads while this process does
+    begun = Spawned.bounding_stops()  # it loads while this process does
     from stopset.monitor.report import NOTICE
     from stopset.monitor.service import start
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import Masses, StopLimits, Stops
-from stopset.monitor.spawned import Spawned
+from stopset.monitor.spawned import Spawned, Work
 from stopset.types import Array
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def largest_override(bound: Bound, q: Array, dq: Array, limits: StopLimits) -> f
     return 1.0
 
 
-def work(
+def _advise(
     model_path: str, sha256: str, payload: Masses | None, stops: Stops, limits: StopLimits, pipe: Connection
 ) -> None:  # fmt: skip
     """The other process: takes a state, gives its override."""
@@ -63,6 +63,10 @@ def work(
             pipe.send((t, largest_override(bound, q, dq, limits)))
 
 
+def _advice() -> Work:
+    return _advise
+
+
 @dataclass(slots=True)
 class Advisor:
     """Asks every ``limits.override_every_s``; ``said``: stamp of the state [s] and the part of its speed, None before the first."""
@@ -76,7 +80,7 @@ class Advisor:
     _next: float = float("-inf")
 
     def __post_init__(self) -> None:
-        c, spawned = self.config, Spawned.begin(__name__, "override")
+        c, spawned = self.config, Spawned.begin(_advice, "override")
         self._process, self._pipe = spawned.process, spawned.pipe
         with contextlib.suppress(OSError):  # it has ended: no advice
             spawned.assign(c.model, self.sha256, c.payload_kg, c.stops, c.limits)

@@ -24,7 +24,7 @@ from stopset.monitor.certificates import Certificate, Numbers, holds
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Masses, Stops
 from stopset.monitor.sample import Quantum
-from stopset.monitor.spawned import STOP_BOUNDS, Spawned
+from stopset.monitor.spawned import Spawned
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -96,7 +96,7 @@ class StopDesk:
         }  # fmt: skip
 
     def _start(self) -> None:
-        spawned, self.begun = self.begun or Spawned.begin(*STOP_BOUNDS), None
+        spawned, self.begun = self.begun or Spawned.bounding_stops(), None
         self._process, self._pipe = spawned.process, spawned.pipe
         with contextlib.suppress(OSError):  # it has ended, which its thread is told
             spawned.assign(self.model_path, self.sha256, self.payload, self.stops, self.categories)
