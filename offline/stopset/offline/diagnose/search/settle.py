@@ -63,9 +63,7 @@ def said_already(now: Hypothesis, c: Candidate) -> bool:
     def forms(x: Candidate) -> set[str]:
         return {x.effect.name, *x.effect.refines}
 
-    return any(
-        a.joints == c.joints and a.effect.name not in c.effect.refines and bool(forms(a) & forms(c)) for a in now.active
-    )
+    return any(a.joints == c.joints and a.effect.name not in c.effect.refines and bool(forms(a) & forms(c)) for a in now.active)
 
 
 def added(now: Hypothesis, candidate: Candidate) -> Candidate:
