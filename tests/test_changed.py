@@ -18,7 +18,6 @@ from stopset.offline.campaign.survey import survey
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.diagnose.changes import changes
-from stopset.offline.diagnose.levels import level_changes
 from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.progress import silent
@@ -141,21 +140,6 @@ def test_a_shared_motor_that_leaves_no_trace_is_none(program: Pair) -> None:
     name = "coupled_wrist:" + "+".join(program.model.joints[:2])
     run = Run(program.scenario.robot, r.meta, lambda: iter(r.trials), survey(lambda: iter(r.trials)), Settings())
     assert asked_effects(run, (), [name]) == ()
-
-
-def test_how_much_friction_there_is_does_not_depend_on_how_long_the_arm_stands(pair: Pair) -> None:
-    """R-990: rows at rest are no slow ones: they made the usual speed, and with it a day's difference, half as large."""
-    rng = np.random.default_rng(0)
-    q, dq, ddq = rng.uniform(-1.0, 1.0, (3, 40, 3))
-    at_rest = np.where(np.arange(80) < 40, 1.0, 1e-4)[:, None]  # readings of a joint at rest are not zero
-    moving = np.arange(80)[:, None] + np.zeros(3) < 40
-    alone = level_changes(pair.model, q, dq, ddq, moving[:40])
-    resting = level_changes(pair.model, *(np.tile(x, (2, 1)) * at_rest for x in (q, dq, ddq)), moving)
-    assert [c.levels for c in alone] == [c.levels for c in resting]
-    for a, b in zip(alone, resting, strict=True):
-        assert a.least == pytest.approx(b.least, rel=1e-12) and a.error == pytest.approx(b.error, rel=1e-12)
-        if a.friction:
-            assert not b.columns[40:].any() and not b.beside[40:].any()
 
 
 def test_since_when_is_told_where_the_change_is_in_the_recordings(pair: Pair) -> None:

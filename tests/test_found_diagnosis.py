@@ -46,8 +46,6 @@ def case_of(arm: str, name: str, seed: int) -> dict[str, Any]:
     [
         ("hysteresis loaded", 41182),  # the first fit takes what builds up for viscous friction, and leaves hardly any dry one
         ("later healthy one", 41196),  # a moment of five times its error, and a mass of -0.05 +- 0.04 kg, was a payload
-        # a program that stands half of its time was taken for one of half the speed, at which the model's friction is less certain
-        ("later dragging", 53224),
     ],
 )
 def test_of_hardware_size(name: str, seed: int) -> None:

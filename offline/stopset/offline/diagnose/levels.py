@@ -61,11 +61,8 @@ class LevelChange:
         return replace(self, columns=self.columns[here], beside=self.beside[here])
 
 
-def level_changes(model: Model, q: Array, dq: Array, ddq: Array, moving: NDArray[np.bool_]) -> list[LevelChange]:
-    """Every change to ask for, over rows of a motion (rows, n); friction's at the rows where its joint is ``moving`` (rows, n).
-
-    How fast a joint usually moves decides how much friction it has: a program that stands half of its time is no slow one.
-    """
+def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelChange]:
+    """Every change to ask for, over rows of a motion (rows, n)."""
     n, out = model.n, []
     dry_law, damping, offset, scale, body = map(of_part, PARTS)
     rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
@@ -75,14 +72,13 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array, moving: NDArray
         block[:, j] = np.column_stack(columns)
         return block
 
-    speed = np.where(moving, dq, 0.0)
-    rubs = [at(np.sign(v), v, j=j) for j, v in enumerate(speed.T)]
+    rubs = [at(np.sign(dq[:, j]), dq[:, j], j=j) for j in range(n)]
     for j, joint in enumerate(model.joints):
         (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
         out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error))
         least = np.array([limit.DAILY * dry])
         out.append(LevelChange(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
-        usual = dry + wet * _usual(speed[:, j])
+        usual = dry + wet * float(np.mean(np.abs(dq[:, j])))
         if float(np.sqrt(np.mean(rigid[:, j] ** 2))) > limit.LOADED_GAIN * usual:
             least = np.array([limit.LEAST_GAIN])
             out.append(LevelChange(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
@@ -164,7 +160,7 @@ def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tupl
     """
     (a, a_error), (b, b_error) = dry, wet
     direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
-    usual = _usual(speed)
+    usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
     level = a.before + usual * b.before
     # the model's own error of the level: its two parts err against each other, and cancel at one speed
     error = abs(a_error - usual * b_error)
@@ -185,11 +181,6 @@ def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tupl
             for x, said, per in one
         ),
     ]
-
-
-def _usual(speed: Array) -> float:
-    """Mean speed [rad/s] where it is not zero."""
-    return float(np.sum(np.abs(speed)) / max(np.count_nonzero(speed), 1))
 
 
 def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:
