@@ -19,8 +19,7 @@ typedef struct {
     unsigned go[2], move; /* a bit a joint */
 } Torque;
 
-static void torques(const Local *at, const Step *s, Torque *t) {
-    const int n = at->n;
+UNROLLED void torques(int n, const Local *at, const Step *s, Torque *t) {
     memset(t, 0, sizeof *t);
     for (int i = 0; i < n; i++) {
         double push = 0.0;
@@ -48,20 +47,20 @@ typedef struct {
     Four lo, hi, w, few, many;
 } Answers;
 
-static inline void lowers(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
+UNROLLED void lowers(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
     const Four x = a->lo + a->w * *(const Four *)(t->of[row] + a->i), small = x * a->few, large = x * a->many, found = BELOW(small, large);
     Four *hull = (Four *)(out[row] + a->i);
     *hull = BELOW(*hull, found);
 }
 
-static inline void raises(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
+UNROLLED void raises(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
     const Four x = a->hi + a->w * *(const Four *)(t->of[row] + a->i), small = x * a->few, large = x * a->many, found = ABOVE(small, large);
     Four *hull = (Four *)(out[row] + a->i);
     *hull = ABOVE(*hull, found);
 }
 
 /* The hull grows by the accelerations when exactly the joints `inside`, a bit each, move. A: transposed, stride SN. */
-STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, unsigned inside, double out[RATES][SN]) {
+UNROLLED void visit(int n, const Torque *t, const double *A, unsigned inside, double out[RATES][SN]) {
     const unsigned answering = inside | ~t->move;
     for (int i = 0; i < n; i += LANES) {
         const unsigned go[2] = {(answering & t->go[0]) >> i & LANE_BITS, (answering & t->go[1]) >> i & LANE_BITS};
@@ -101,7 +100,7 @@ STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, unsigned
 }
 
 /* What is written in fours is read in fours: a number written alone would have to reach memory before four could be read there. */
-STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
+UNROLLED void turn_over(int n, double *A, int k, int into) {
     const double d = 1.0 / A[k * SN + k], s = into ? d : -d;
     Four share[GROUPS], column[GROUPS];
     for (int g = 0; g * LANES < n; g++) {
@@ -123,20 +122,19 @@ STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
     }
 }
 
-void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
-    const int n = at->n;
+UNROLLED void accelerations(int n, const Local *at, const Step *s, double out[RATES][SN]) {
     _Alignas(32) double A[SN * SN] = {0};
     unsigned inside = 0;
     int open[SN], count = 0;
     _Alignas(32) Torque t;
-    torques(at, s, &t);
+    torques(n, at, s, &t);
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < SN; i++) out[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) A[j * SN + i] = at->M[i * n + j];
     for (int i = 0; i < n; i++) {
         if (!s->zero[i]) {
-            stops_turn_over(n, A, i, 1);
+            turn_over(n, A, i, 1);
             inside |= 1u << i;
         } else if (s->plus[i] || s->minus[i])
             open[count++] = i;
@@ -146,7 +144,7 @@ void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) 
         if (++subset >= (int64_t)1 << count) break;
         int bit = 0;
         while (!((subset >> bit) & 1)) bit++;
-        stops_turn_over(n, A, open[bit], !(inside >> open[bit] & 1u));
+        turn_over(n, A, open[bit], !(inside >> open[bit] & 1u));
         inside ^= 1u << open[bit];
     }
     for (int row = 0; row < RATES; row++)
@@ -155,4 +153,22 @@ void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) 
             const double found = goes ? out[row][i] : is_lower(row) ? STOPS_INF : -STOPS_INF, slack = stopset_rate_rounding * (size_of(found) + 1.0);
             out[row][i] = is_lower(row) ? found - slack : found + slack;
         }
+}
+
+STOPSET_WIDE static void accelerations_usual(const Local *at, const Step *s, double out[RATES][SN]) { accelerations(USUAL_JOINTS, at, s, out); }
+
+STOPSET_WIDE static void accelerations_any(const Local *at, const Step *s, double out[RATES][SN]) { accelerations(at->n, at, s, out); }
+
+void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
+    if (at->n == USUAL_JOINTS)
+        accelerations_usual(at, s, out);
+    else
+        accelerations_any(at, s, out);
+}
+
+STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
+    if (n == USUAL_JOINTS)
+        turn_over(USUAL_JOINTS, A, k, into);
+    else
+        turn_over(n, A, k, into);
 }
