@@ -3,6 +3,7 @@
 Each input is a good one with bytes changed, cut, doubled, spliced, or numbers and brackets put where they hurt. A parser may
 take it or refuse it with an error of stopset's own; anything else, and an input that holds it for ever, is printed with the input that
 did it. With ``--kept`` every run adds to what FILE holds, with other inputs, until each parser, those of files too, has had ``--inputs``.
+The good ones are as small as a parser takes, one drive and as few cycles as make a trial: a file's length is only paid for.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import logging
 import math
 import random
+import re
 import signal
 import socket
 import sqlite3
@@ -24,8 +26,10 @@ import sys
 import tempfile
 import threading
 import time
+import zlib
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, reduce
 from operator import getitem
 from pathlib import Path
@@ -41,7 +45,7 @@ from mcap.writer import CompressionType, Writer
 
 from monitor_arm import known_model, motion
 from state_messages import pack
-from stopset.artifact import load_model, save_model
+from stopset.artifact import Model, load_model, save_model
 from stopset.artifact.store import _digest
 from stopset.errors import BusError, StopsetError
 from stopset.monitor.along import watch_for
@@ -52,23 +56,31 @@ from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import unpack
-from stopset.monitor.links.canopen_map import Encoder
+from stopset.monitor.links.canopen_map import Encoder, frame_maps
 from stopset.monitor.links.decoder import Decoder
 from stopset.monitor.links.hub import HubClient
 from stopset.monitor.links.rtde_client import ASK_VERSION, DATA, HEAD, OUTPUTS, START, TEXT, RtdeClient
 from stopset.monitor.logs import play_log, trials_of_log
 from stopset.monitor.orders import parse_reset
-from stopset.monitor.profile import load_profile
+from stopset.monitor.profile import Profile, load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import CanSource
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View
 from stopset.recording.seen import open_seen
+from stopset.sets import Box
+from synthetic import arm
 
 IN_MEMORY = ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer", "hub", "latch", "counts")
 LONGEST = 10.0  # [s] of processor time that an input may take
 PROFILE = load_profile("lwa4p/monitor")
+DRIVES = 1  # of the logs' arm
+MOTION = ("1802", "1A02", "6064", "606C")  # objects of a drive's dictionary that make the frame of its motion
+OBJECTS = (*MOTION, "1803", "1A03", "200D", "6041", "6077")  # and the other one
+BLF_HEAD = struct.Struct(
+    "<4sHHIIH6xI4x"
+)  # of an object that holds others, python-can's: LOBJ, sizes, kind; method, bytes unpacked
 SPOKEN = ("timestamp", "actual_q", "actual_qd")
 SPICE = [
     b"\0", b"\xff", b"\xff\xff\xff\xff",
@@ -130,7 +142,7 @@ def spoilt_tree(rng: random.Random, data: bytes) -> Any:
             if kind == 0:
                 del x[k]
             elif kind == 1:
-                x[k] = rng.choice(TERRIBLE)
+                x[k] = copy.deepcopy(rng.choice(TERRIBLE))
             elif kind == 2 and isinstance(x[k], int | float):
                 x[k] *= rng.choice([-1, 0, 1e-9, 1e9, 1.5])
             elif kind == 3 and isinstance(x, list):
@@ -139,8 +151,8 @@ def spoilt_tree(rng: random.Random, data: bytes) -> Any:
                 x[rng.choice(["", "x", str(m)])] = copy.deepcopy(y[m])
             else:
                 x[k] = copy.deepcopy(y[m])
-        except (LookupError, TypeError):
-            continue  # a change before has taken the way away
+        except (LookupError, TypeError, OverflowError):
+            continue  # a change before has taken the way away, or put a number there that no float holds
     return tree
 
 
@@ -165,14 +177,53 @@ def through_file(suffix: str, read: Callable[[Path], object], folder: Path) -> C
     return parse
 
 
+def small_model() -> Model:
+    """Of an arm of one joint."""
+    m, robot = known_model(), arm(("a",))
+
+    def cut(box: Box) -> Box:
+        ends = [0] if len(box.lo) == m.n else [0, m.n]
+        return Box.of(box.lo[ends], box.hi[ends])
+
+    s, d, b = m.powered, m.domain, m.brakes
+    assert b is not None
+    return replace(
+        m, robot=robot, rotor=robot.rotor, abstraction=replace(m.abstraction, Minv=m.abstraction.Minv[:1, :1], viscous=m.abstraction.viscous[:1]),
+        sets={"powered": replace(s, X0=cut(s.X0), U=cut(s.U), V=cut(s.V))}, domain=replace(d, q=cut(d.q), dq=cut(d.dq), u=cut(d.u)),
+        brakes=replace(b, torque=cut(b.torque), delay=cut(b.delay), rise=cut(b.rise)),
+    )  # fmt: skip
+
+
+def dictionary(objects: tuple[str, ...]) -> str:
+    """These objects of the shipped DCF."""
+    sections = re.split(r"^(?=\[)", PROFILE.dcf.read_text(), flags=re.MULTILINE)
+    return "".join(x for x in sections if re.match(rf"\[(DeviceInfo|({'|'.join(objects)})(sub\d)?)\]", x))
+
+
+def small_arm(folder: Path) -> Profile:
+    """The first `DRIVES` of the shipped profile, with a dictionary of the objects that their frames are made of."""
+    dcf = folder / "small.dcf"
+    dcf.write_text(dictionary(OBJECTS))
+    nodes = dict(list(PROFILE.nodes.items())[:DRIVES])
+    signals = {name: replace(s, scale=s.scale[:DRIVES]) for name, s in PROFILE.signals.items()}
+    return replace(PROFILE, dcf=dcf, nodes=nodes, signals=signals, axes=PROFILE.axes[:DRIVES])
+
+
+def small_profile() -> str:
+    """The shipped profile's text for `small_arm`, without remarks."""
+    text = re.sub(r" *#.*", "", PROFILE.dcf.with_name("monitor.toml").read_text())
+    text = re.sub(r"(arm_\d_joint = \d\n)+", lambda x: "".join(x[0].splitlines(keepends=True)[:DRIVES]), text)
+    return re.sub(r"scale = \[([\d., ]+)\]", lambda x: f"scale = [{', '.join(x[1].split(', ')[:DRIVES])}]", text)
+
+
 def frames(data: bytes) -> None:
     """CAN frames of any identifier, length and stamp."""
-    d = Decoder(PROFILE)
+    d, t = Decoder(PROFILE), 0.0
     for at in range(0, len(data) - 3, 13):
         length = min(data[at + 2] % 9, 8)
         t = math.nan if data[at + 3] == 255 else at * 1e-4
         d.frame(int.from_bytes(data[at : at + 2], "little") & 0x7FF, data[at + 4 : at + 4 + length], t)
-        d.nodes.bad(t)
+    d.nodes.bad(t)
 
 
 def from_hub() -> Callable[[bytes], object]:
@@ -269,14 +320,14 @@ def counted() -> bytes:
     return slots.counts
 
 
-def played(path: Path) -> None:
+def played(path: Path, profile: Profile) -> None:
     """Onto a bus, with a clock that stands still."""
 
     def sleep(seconds: float) -> None:
         if not 0.0 <= seconds < 2.0**63 * 1e-9:
             raise OverflowError(f"a pause of {seconds} s")
 
-    play_log(path, lambda c, d: None, 1.0, PROFILE, lambda: 0.0, sleep)
+    play_log(path, lambda c, d: None, 1.0, profile, lambda: 0.0, sleep)
 
 
 def viewer(data: bytes) -> None:
@@ -287,16 +338,14 @@ def viewer(data: bytes) -> None:
 
 
 def record(compression: CompressionType) -> bytes:
-    """A monitor's own, of 20 cycles; not compressed, changes reach what reads the JSON in it."""
-    out, r = io.BytesIO(), motion(0, 20)
+    """A monitor's own; not compressed, changes reach what reads the JSON in it."""
+    out, r, cycles = io.BytesIO(), motion(0, 20), 4
     w = Writer(out, compression=compression)
     w.start()
-    w.add_metadata(
-        "stopset", {"joints": ",".join(known_model().joints), "cycle_s": "0.004", "robot": "a", "effort": "motor_torque"}
-    )
+    w.add_metadata("stopset", {"joints": known_model().joints[0], "cycle_s": "0.004", "robot": "a", "effort": "motor_torque"})
     channel = w.register_channel("stopset/joint_states", "json", w.register_schema("stopset.JointStates", "jsonschema", b"{}"))
-    for k in range(20):
-        row = {"k": k, "position": r.q[k].tolist(), "velocity": r.dq[k].tolist(), "effort": r.tau[k].tolist()}
+    for k in range(cycles):
+        row = {"k": k, "position": r.q[k, :1].tolist(), "velocity": r.dq[k, :1].tolist(), "effort": r.tau[k, :1].tolist()}
         w.add_message(channel, k, json.dumps(row).encode(), k)
     w.finish()
     return out.getvalue()
@@ -310,8 +359,12 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
     config = (
         b'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n[publish]\nvalid_for_ms = 30\n[stops]\ncategories = ["0", "1"]\n'
     )
-    rows = signal_rows(motion(0, 12))  # what is read has to be ten cycles long
-    encoder = Encoder(PROFILE)
+    small = small_arm(folder)
+    bag = [
+        (t, to_cdr(JointState(t, names[:1], row[:1], row[:1], row[1:2]))) for t in range(10**18, 10**18 + 40_000_000, 4_000_000)
+    ]
+    rows = [r[:, :DRIVES] for r in signal_rows(motion(0, 12))]  # what is read has to be ten cycles long
+    encoder = Encoder(small)
     stream = [(k * 0.004 + i * 1e-5, c, d) for k, r in enumerate(rows) for i, (c, d) in enumerate(encoder.frames(r))]
     files: dict[str, list[bytes]] = {}
     for suffix in (".log", ".asc", ".blf", ".trc"):
@@ -327,19 +380,16 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         x.execute("create table topics (id integer, name text, type text)")
         x.execute("create table messages (id integer primary key, topic_id integer, timestamp integer, data blob)")
         x.execute("insert into topics values (1, '/joint_states', 'sensor_msgs/msg/JointState')")
-        x.executemany(
-            "insert into messages (topic_id, timestamp, data) values (1, ?, ?)", [(k, to_cdr(states[k % 3])) for k in range(20)]
-        )
+        x.executemany("insert into messages (topic_id, timestamp, data) values (1, ?, ?)", bag)
         x.commit()
     out = io.BytesIO()
     w = Writer(out)
     w.start()
     channel = w.register_channel("/joint_states", "cdr", w.register_schema("sensor_msgs/msg/JointState", "ros2msg", b""))
-    for k in range(20):
-        stamp = 10**18 + 4_000_000 * k
-        w.add_message(channel, stamp, to_cdr(JointState(stamp, names, row, row, row)), stamp)
+    for stamp, data in bag:
+        w.add_message(channel, stamp, data, stamp)
     w.finish()
-    save_model(known_model(), folder / "m.json")
+    save_model(small_model(), folder / "m.json")
     stop = {"time_s": 0.1, "tcp_m": None, "why": "", "joints": {}}
     twin = {
         "state": "OK", "why": "x", "data_id": 1, "joints": list(names), "violations": [{"joint": names[0], "samples": 1}],
@@ -350,8 +400,8 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "reset": [b'{"name": "A. Person", "reason": "seen to"}'], "state message": [pack({"data_id": 7, "state": 0x2B})],
         "CAN frames": [b"".join(c.to_bytes(2, "little") + bytes([len(d), 0]) + d.ljust(9, b"\0") for _, c, d in stream[:26])],
         "viewer": [json.dumps(twin).encode(), b'{"kind": "gap", "why": "x"}', pack({"data_id": 1})],
-        "configuration": [config], "profile": [PROFILE.dcf.with_name("monitor.toml").read_bytes()], "keys": [f"1 {'11' * 32}\n".encode()],
-        "EDS": [PROFILE.dcf.read_bytes()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
+        "configuration": [config], "profile": [small_profile().encode()], "keys": [f"1 {'11' * 32}\n".encode()],
+        "EDS": [dictionary(MOTION).encode()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
         "MCAP": [out.getvalue()], "MCAP of a violation": [record(CompressionType.NONE), record(CompressionType.ZSTD)], "db3": [db.read_bytes()],
         "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
         "played log": files[".log"], "candump.gz": [gzip.compress(files[".log"][0])], "db3.zstd": [zstandard.compress(db.read_bytes())],
@@ -372,12 +422,9 @@ def conversation() -> bytes:
 
 def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     """By the names of `good_inputs`."""
-    profile_text = PROFILE.dcf.with_name("monitor.toml").read_text()
-    beside = folder / "eds"
-    beside.mkdir()
-    (folder / "monitor.dcf").write_bytes(PROFILE.dcf.read_bytes())
-    (beside / "p.toml").write_text(profile_text.replace("monitor.dcf", "fuzz.dcf"))
-    (beside / "fuzz.dcf").write_text("")
+    small = small_arm(folder)
+    moving = replace(small, signals={name: small.signals[name] for name in ("q", "dq")})
+    (folder / "monitor.dcf").write_bytes(small.dcf.read_bytes())
 
     def bag(path: Path) -> object:
         return list(trials_of_bag(path, "/joint_states", None, None, 0))
@@ -386,31 +433,32 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
         return list(open_seen(path)[1])
 
     def log(path: Path) -> object:
-        return list(trials_of_log(path, PROFILE, PROFILE.cycle_s))
+        return list(trials_of_log(path, small, small.cycle_s))
 
     def profile(path: Path) -> object:
         return Decoder(load_profile(path))
 
     files: dict[str, tuple[str, Callable[[Path], object], Path]] = {
         "configuration": (".toml", load_config, folder), "profile": ("p.toml", profile, folder),
-        "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda _: profile(beside / "p.toml"), beside),
+        "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda path: frame_maps(replace(moving, dcf=path)), folder),
         "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder),
         "MCAP of a violation": (".seen.mcap", seen, folder), "db3": (".db3", bag, folder),
         "candump": (".log", log, folder), "ASC": (".asc", log, folder), "BLF": (".blf", log, folder), "TRC": (".trc", log, folder),
         "candump on screen": (".screen.log", log, folder), "candump.gz": (".log.gz", log, folder), "db3.zstd": (".db3.zstd", bag, folder),
-        "played log": (".played.log", played, folder),
+        "played log": (".played.log", lambda path: played(path, small), folder),
     }  # fmt: skip
     memory: dict[str, Callable[[bytes], object]] = {
         "joint_states JSON": decode, "joint_states CDR": decode, "reset": parse_reset, "state message": unpack,
         "CAN frames": frames, "viewer": viewer, "hub": from_hub(), "RTDE": from_controller(), "latch": latch, "counts": counts,
     }  # fmt: skip
     found = memory | {name: through_file(*how) for name, how in files.items()}
+    moves = motion(0, 4)
 
     def watched(path: Path) -> object:
         """Held against an arm, too: a model that lets everything pass is as bad as one that ends the daemon."""
-        watch, r = watch_for(load_model(path), Quantum.none(6), None, (0.0, 1.0), 0.004), motion(0, 4)
+        watch = watch_for(load_model(path), Quantum.none(1), None, (0.0, 1.0), 0.004)
         for k in range(4):
-            sample = Sample(k, r.t[k], r.q[k], r.dq[k], r.tau[k])
+            sample = Sample(k, moves.t[k], moves.q[k, :1], moves.dq[k, :1], moves.tau[k, :1])
             verdict = watch.step(sample)
             if verdict.conformance is Conformance.CONFORMANT:
                 between = watch.tube(sample)
@@ -421,8 +469,27 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     return found
 
 
+def blf_spoilt(rng: random.Random, seeds: list[bytes]) -> bytes:
+    """A BLF file with the objects in its first container changed, and packed as they should be."""
+    seed = rng.choice(seeds)
+    at = seed.index(b"LOBJ")
+    signature, head, version, size, kind, method, _ = BLF_HEAD.unpack_from(seed, at)
+    inside = spoilt(rng, [zlib.decompress(seed[at + BLF_HEAD.size : at + size])])
+    packed = zlib.compress(inside, 1)
+    return seed[:at] + BLF_HEAD.pack(signature, head, version, BLF_HEAD.size + len(packed), kind, method, len(inside)) + packed
+
+
+PACKED: dict[str, Callable[[random.Random, list[bytes]], bytes]] = {
+    "BLF": blf_spoilt,
+    "candump.gz": lambda rng, seeds: gzip.compress(spoilt(rng, [gzip.decompress(s) for s in seeds]), 1),
+    "db3.zstd": lambda rng, seeds: zstandard.compress(spoilt(rng, [zstandard.decompress(s) for s in seeds]), 1),
+}  # what their sums would refuse before it is looked at
+
+
 def changed(name: str, rng: random.Random, seeds: list[bytes]) -> bytes:
     """An input for this parser."""
+    if name in PACKED and rng.randrange(4):
+        return PACKED[name](rng, seeds)
     if name != "model, right hash":
         return spoilt(rng, seeds)
     if rng.randrange(8):
@@ -485,6 +552,7 @@ def main() -> int:
     memory = Path("/dev/shm")  # a file system in memory, where there is one
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as place:
         folder = Path(place)
+        tempfile.tempdir = place
         seeds = good_inputs(folder)
         # whoever has had least comes first: a run may be ended before its end
         for name, parse in sorted(parsers(folder).items(), key=lambda item: sum(kept.get(item[0], {}).values())):

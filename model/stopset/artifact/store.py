@@ -235,8 +235,12 @@ def _check_shapes(m: Model, path: Path) -> None:
         name
         for name, ok in (
             ("rotor", m.rotor.shape == (n,)),
+            ("abstraction.kind", m.abstraction.kind in (1, 2, 3)),
             ("abstraction.Minv", m.abstraction.Minv.shape == (n, n)),
-            ("abstraction.viscous", m.abstraction.viscous.ndim == 2 and m.abstraction.viscous.shape[0] == n),
+            (
+                "abstraction.viscous",
+                m.abstraction.viscous.ndim == 2 and len(m.abstraction.viscous) == n and m.abstraction.viscous.size > 0,
+            ),
             ("abstraction.coriolis", len(m.abstraction.coriolis) in (0, n)),
             ("abstraction.acceleration", len(m.abstraction.acceleration) == (n if m.abstraction.kind == 3 else 0)),
             ("abstraction.offset", m.abstraction.offset.size in (0, n)),
