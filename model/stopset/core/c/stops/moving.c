@@ -41,7 +41,7 @@ UNROLLED void torques(int n, const Local *at, const Step *s, Torque *t) {
 }
 
 /* Answers of the joints from i on, others' part of them apart: w per torque; +-Inf where a joint does not answer. Their own inertia scales them
- * by 1 / (1 + e), |e| <= d < 1, so by `few` to `many`; many is Inf where d is not below 1. */
+ * by 1 / (1 + e), |e| <= d < 1, so by `few` to `many`; many is Inf where d is not below 1. What rounding of these two makes is in the slack. */
 typedef struct {
     int i;
     Four lo, hi, w, few, many;
