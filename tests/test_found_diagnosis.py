@@ -54,6 +54,14 @@ def test_of_hardware_size(name: str, seed: int) -> None:
 
 
 @pytest.mark.shared
+def test_what_the_form_of_a_gas_spring_leaves_is_no_spring_beside_it(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """Told as what it is, and not named: left, and dependent on the joint's position."""
+    answer = case_of(str(shared_data("ur10e/robot.urdf")), "counterbalance loaded", 55161)
+    assert answer["named"] == ["counterbalance:shoulder_lift_joint"], answer
+    assert [(u[0], u[2][0]) for u in answer["unexplained"]] == [("shoulder_lift_joint", "q_shoulder_lift_joint")]
+
+
+@pytest.mark.shared
 def test_play_in_a_gear_is_no_elasticity_of_its_neighbour(shared_data) -> None:  # type: ignore[no-untyped-def]
     """Its swing is 0.76 +- 0.04 times what that elbow's stiffness would make."""
     answer = case_of(str(shared_data("ur10e/robot.urdf")), "backlash", 41063)

@@ -18,7 +18,7 @@ from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
-from stopset.offline.diagnose.search.settle import added, settle
+from stopset.offline.diagnose.search.settle import added, said_already, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.progress import Progress, silent
 from stopset.types import Array
@@ -76,8 +76,8 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
         fit = [c for c in pool if "exact" not in c.shapes or hyper.kappa[c.joints[0]] > limit.FAR_OVER_NOISE]
         left = scores(now, fit, hyper)
-        taken = {c.key for c in now.active}
-        best = refined(now, [s for s in left if s.candidate.key not in taken | refused], hyper)
+        open_ones = [s for s in left if s.candidate.key not in refused and not said_already(now, s.candidate)]
+        best = refined(now, open_ones, hyper)
         best = [s for s in best if s.score >= limit.THRESHOLD]
         if best and claims:
             loose = with_forms(now, [c for c in now.active if c.key in {x.scored.candidate.key for x in claims}], p.theta)

@@ -45,12 +45,25 @@ def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settl
     near = [s for s, lack in zip(best[1:], lacks[1:], strict=True) if s.score > best[0].score - lack]
     settled = [first, *(_refitted(now, s, hyper) for s in near)]
     likeliest = max(settled, key=lambda x: x.evidence)
-    taken = {c.key for c in now.active} | {x.candidate.key for x in settled}
-    settled += [x for x in _plainer(now, likeliest, hyper) if x.candidate.key not in taken]
+    asked = {x.candidate.key for x in settled}
+    plainer = _plainer(now, likeliest, hyper)
+    settled += [x for x in plainer if x.candidate.key not in asked and not said_already(now, x.candidate)]
     alike = [x for x in settled if _simplifies(x.candidate, likeliest.candidate)]
     enough = [x for x in alike if x.mended > likeliest.evidence - limit.THRESHOLD]
     top = min(enough, key=lambda x: (_size(x.candidate), -x.mended), default=likeliest)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
+
+
+def said_already(now: Hypothesis, c: Candidate) -> bool:
+    """Whether a law that ``now`` has at the same joints says what ``c`` would: the same one, or another form of the same plainer law.
+
+    What the form of a balancing spring leaves looks like a spring, and is no second one; a finer form may still replace a plainer one.
+    """
+
+    def forms(x: Candidate) -> set[str]:
+        return {x.effect.name, *x.effect.refines}
+
+    return any(a.joints == c.joints and a.effect.name not in c.effect.refines and bool(forms(a) & forms(c)) for a in now.active)
 
 
 def added(now: Hypothesis, candidate: Candidate) -> Candidate:
