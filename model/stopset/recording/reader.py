@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
 from stopset.recording.csv_table import open_csv
@@ -27,6 +28,8 @@ from stopset.robot import Robot
 from stopset.types import Array
 
 BATCH_ROWS = 65_536
+PAUSE = 1.0  # [s] between samples from which on nobody was recording
+SLOWER = 10.0  # times the usual distance of samples, of a slow clock's pause
 FEWEST_STAMPS = 30  # of a trial whose clock is looked at
 PRINTED = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # [s] what stamps are printed to
 ROUGH = 0.05  # of the period: stamps printed to less are as good as exact
@@ -155,7 +158,7 @@ def _assumed(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
     if not lacking:
         return ()
     how = "open loop" if lacking == ["phase"] else "closed loop"
-    how += ", a trial wherever t goes back" if "trial" in lacking else ""
+    how += f", a trial wherever t goes back or rests for {PAUSE:g} s" if "trial" in lacking else ""
     return (f"{path.name} has no {', '.join(lacking)}: taken as {how}; what stands still throughout as a held pose",)
 
 
@@ -256,7 +259,7 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
     """Consecutive rows with the same (phase, suite, trial), across batches."""
     key: tuple[str, int, int] | None = None
     parts: list[dict[str, Any]] = []
-    begun, last = 0, -np.inf  # where no column says which trial a row is of: trials before it, its stamp
+    begun, last = 0, float("nan")  # where no column says which trial a row is of: trials before it, its stamp
     try:
         for batch in batches:
             columns = {c: batch.column(c).to_numpy(zero_copy_only=False) for c in batch.schema.names}
@@ -268,7 +271,7 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
             names = np.full(rows, usual, object) if phase is None else phase
             columns.setdefault("suite", np.zeros(rows, np.int64))
             if "trial" not in columns:
-                columns["trial"] = begun + np.cumsum(np.diff(columns["t"], prepend=last) < 0)
+                columns["trial"] = begun + np.cumsum(_anew(columns["t"], last))
                 begun, last = int(columns["trial"][-1]), float(columns["t"][-1])
             change = (np.diff(columns["suite"]) != 0) | (np.diff(columns["trial"]) != 0) | (names[1:] != names[:-1])
             edges = [0, *(np.flatnonzero(change) + 1).tolist(), rows]
@@ -287,6 +290,12 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
         raise RecordingError(f"{path}: suite or trial is not a whole number ({e}); expected integers") from e
     if key is not None:
         yield (*key, _joined(parts))
+
+
+def _anew(t: Array, before: float) -> NDArray[np.bool_]:
+    """Where stamps (N,) that follow ``before`` [s] begin a trial: the clock went back, or nothing was recorded for a while."""
+    dt = np.diff(t, prepend=before)
+    return (dt < 0) | (dt >= max(PAUSE, SLOWER * float(np.nanmedian(dt)) if len(t) > 1 else 0.0))
 
 
 def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:

@@ -80,9 +80,10 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     "none", "trials are split at long gaps; record again if a motion is lost in them", lost)
         )  # fmt: skip
     if t.pauses:
+        often = f" at most, {len(t.pauses)} times" if len(t.pauses) > 1 else ""
         out.append(
-            Finding("pauses", "warning", None, f"nothing was recorded for {max(t.pauses):.3g} s" + (f" at most, {len(t.pauses)} times" if len(t.pauses) > 1 else ""),
-                    "samples throughout a trial", "the pieces are taken each by itself; nothing is known of the time between", max(t.pauses))
+            Finding("pauses", "warning", None, f"nothing was recorded for {max(t.pauses):.3g} s{often}", "samples throughout a trial",
+                    "nothing is known of the time between: make two trials of it", max(t.pauses))
         )  # fmt: skip
     if t.repeated > max(2, NOTABLE_GAPS * t.samples):
         out.append(

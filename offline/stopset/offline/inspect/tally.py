@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.recording.reader import PAUSE
 from stopset.recording.types import Recording
 from stopset.types import Array
 
 EVEN = 0.02  # relative spread of the period up to which stamps are even
 SURE = 3.0  # standard errors of the usual period by which stamps must run late for samples to be missing
 GAP = 1.6  # periods between stamps from which on a sample is missing
-PAUSE = 1.0  # [s] between stamps from which on nobody was recording
 JUMP, JUMPS_OUT = 0.05, 10.0  # [rad] that no sample explains, and times what the steps of q beside dq usually are
 RARE = 0.01  # share of a trial's steps up to which they are jumps, and not a dq that does not follow
 WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short against a motion
