@@ -23,9 +23,9 @@ from stopset.errors import RecordingError
 from stopset.recording.csv_table import open_csv
 from stopset.recording.seen import open_seen
 from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
-from stopset.recording.unpacked import Allowance, TooLargeError
 from stopset.robot import Robot
 from stopset.types import Array
+from stopset.unpacked import Allowance, TooLargeError
 
 BATCH_ROWS = 65_536
 PAUSE = 1.0  # [s] between samples from which on nobody was recording
