@@ -186,10 +186,10 @@ def readings(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
             out.append(Finding("jump", "error", joint, seen, "a step that dq explains", do, first.size))
     moved = _moved(t)
     for name, span, moves in (("tau", t.range_tau, moved), ("q", t.range_q, np.abs(t.range_dq).max(axis=1) > MOVING)):
-        for j in np.flatnonzero(moves & (span[:, 0] == span[:, 1])):
+        for k in np.flatnonzero(moves & (span[:, 0] == span[:, 1])):
             out.append(
-                Finding("frozen", "error", joints[j], f"{name} is {span[j, 0]:.4g} throughout while the joint moves", "a reading",
-                        "nobody recorded it: look for the channel", float(span[j, 0]))
+                Finding("frozen", "error", joints[k], f"{name} is {span[k, 0]:.4g} throughout while the joint moves", "a reading",
+                        "nobody recorded it: look for the channel", float(span[k, 0]))
             )  # fmt: skip
     return out
 
