@@ -188,7 +188,7 @@ def readings(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     for name, span, moves in (("tau", t.range_tau, moved), ("q", t.range_q, np.abs(t.range_dq).max(axis=1) > MOVING)):
         for k in np.flatnonzero(moves & (span[:, 0] == span[:, 1])):
             out.append(
-                Finding("frozen", "error", joints[k], f"{name} is {span[k, 0]:.4g} throughout while the joint moves", "a reading",
+                Finding("frozen", "error", joints[int(k)], f"{name} is {span[k, 0]:.4g} throughout while the joint moves", "a reading",
                         "nobody recorded it: look for the channel", float(span[k, 0]))
             )  # fmt: skip
     return out
