@@ -54,6 +54,14 @@ def test_of_hardware_size(name: str, seed: int) -> None:
     assert answer["right"] and not answer["false"], answer
 
 
+def test_a_gas_spring_takes_the_place_of_the_spring_that_was_claimed_first(tmp_path: Path) -> None:
+    """They were named together, of one gas spring."""
+    arm = tmp_path / "three.urdf"
+    arm.write_text(ARM)
+    answer = case_of(str(arm), "counterbalance loaded", 703)
+    assert answer["named"] == ["counterbalance:lift"], answer
+
+
 @pytest.mark.shared
 def test_what_the_form_of_a_gas_spring_leaves_is_no_spring_beside_it(shared_data) -> None:  # type: ignore[no-untyped-def]
     """Told as what it is, and not named: left, and dependent on the joint's position."""

@@ -33,6 +33,7 @@ class Claim:
     rivals: tuple[Scored, ...]
     excess_before: tuple[float, ...]  # residual variance over sensor noise per joint, before the claim
     excess_after: tuple[float, ...]
+    finer: bool = False  # it took the place of a plainer law that had been claimed, and left too much
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -104,9 +105,10 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
             error = held_out(now, hyper)
         before = error
         after = now.excesses(p.theta, hyper)
-        replaced = [k for k in claims if plainer is not None and k.scored.candidate.key == plainer.key]
-        first_excess = replaced[0].excess_before if replaced else excess
-        claims = [*(k for k in claims if k not in replaced), Claim(top.scored, top.scored.score, rivals, first_excess, after)]
+        replaced = next((k for k in claims if plainer is not None and k.scored.candidate.key == plainer.key), None)
+        since = excess if replaced is None else replaced.excess_before
+        claims = [k for k in claims if k is not replaced]
+        claims.append(Claim(top.scored, top.scored.score, rivals, since, after, finer=replaced is not None))
         where = "+".join(engine.data.joints[j] for j in candidate.joints) or "the whole arm"
         progress(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
@@ -151,7 +153,7 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
 
 def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothesis, Claim]:
     """A narrow decision between contenders taken again, now that all the other causes are known."""
-    if claim.scored.candidate.effect.role == "swing" or not claim.rivals:
+    if claim.scored.candidate.effect.role == "swing" or claim.finer:
         return now, claim
     key = claim.scored.candidate.key
     top, rivals = settle(now.without(key), [claim.scored, *claim.rivals], hyper)
