@@ -142,7 +142,7 @@ def spoilt_tree(rng: random.Random, data: bytes) -> Any:
             if kind == 0:
                 del x[k]
             elif kind == 1:
-                x[k] = rng.choice(TERRIBLE)
+                x[k] = copy.deepcopy(rng.choice(TERRIBLE))
             elif kind == 2 and isinstance(x[k], int | float):
                 x[k] *= rng.choice([-1, 0, 1e-9, 1e9, 1.5])
             elif kind == 3 and isinstance(x, list):
@@ -151,8 +151,8 @@ def spoilt_tree(rng: random.Random, data: bytes) -> Any:
                 x[rng.choice(["", "x", str(m)])] = copy.deepcopy(y[m])
             else:
                 x[k] = copy.deepcopy(y[m])
-        except (LookupError, TypeError):
-            continue  # a change before has taken the way away
+        except (LookupError, TypeError, OverflowError):
+            continue  # a change before has taken the way away, or put a number there that no float holds
     return tree
 
 

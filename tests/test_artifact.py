@@ -162,8 +162,13 @@ def no_friction_at_all(body: dict[str, Any]) -> None:
     body["abstraction"]["viscous"] = [[] for _ in body["abstraction"]["viscous"]]
 
 
+def a_kind_that_is_none(body: dict[str, Any]) -> None:
+    body["abstraction"]["kind"] = 2**63
+
+
 @pytest.mark.parametrize(
-    "spoil", [half_a_character, longer_limits, no_steps, endless_horizon, no_number, too_large, no_friction_at_all]
+    "spoil",
+    [half_a_character, longer_limits, no_steps, endless_horizon, no_number, too_large, no_friction_at_all, a_kind_that_is_none],
 )
 def test_what_a_fuzzer_found_in_files_whose_hash_is_right(spoil: Any, planar, tmp_path: Path) -> None:
     path = tmp_path / "m.json"

@@ -29,7 +29,7 @@ from stopset.monitor.bags import trials_of_bag
 from stopset.monitor.jointstate import JointState, to_cdr
 from stopset.offline.update.sums_file import load_sums
 from stopset.recording import read_recordings
-from stopset.recording.unpacked import PIECE, Allowance, TooLargeError, chunk_data
+from stopset.unpacked import PIECE, Allowance, TooLargeError, chunk_data
 
 SIZE = 640 * 2**20  # bytes that the bombs make
 MEMORY = 420 * 2**10  # [KiB] that a whole command may take, 150 to 250 of it Python and libraries

@@ -16,8 +16,8 @@ import numpy as np
 
 from stopset.errors import OutputError
 from stopset.fmu.build import native
-from stopset.recording.unpacked import TooLargeError, check_zip
 from stopset.types import Array
+from stopset.unpacked import TooLargeError, check_zip
 
 AGREE = 1e-9  # [rad, rad/s] nominal motion and bounds
 SUMS = "documentation/SHA256SUMS"  # of every file of a unit as it was exported

@@ -23,7 +23,7 @@ from stopset.artifact.model import Model
 from stopset.artifact.store import model_of, read_model_text
 from stopset.errors import ModelFileError, OutputError, StopsetError
 from stopset.files import write_private, write_text
-from stopset.recording.unpacked import check_zip
+from stopset.unpacked import check_zip
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey

@@ -235,6 +235,7 @@ def _check_shapes(m: Model, path: Path) -> None:
         name
         for name, ok in (
             ("rotor", m.rotor.shape == (n,)),
+            ("abstraction.kind", m.abstraction.kind in (1, 2, 3)),
             ("abstraction.Minv", m.abstraction.Minv.shape == (n, n)),
             (
                 "abstraction.viscous",

@@ -9,7 +9,6 @@ import pkgutil
 import sys
 import traceback
 from collections.abc import Sequence
-from importlib.metadata import version
 from types import ModuleType
 from typing import NoReturn
 
@@ -69,6 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.write(_overview())
         return 0
     if words[0] == "--version":
+        from importlib.metadata import version  # asked for seldom, and slow to load
+
         sys.stdout.write(f"stopset {version('stopset')}\n")
         return 0
     if words[0] not in commands():

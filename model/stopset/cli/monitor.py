@@ -16,10 +16,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stopset.cli.common import say
     from stopset.monitor.config import load_config
+    from stopset.monitor.spawned import Spawned
+
+    config = load_config(args.config)
+    begun = Spawned.bounding_stops()  # it loads while this process does
     from stopset.monitor.report import NOTICE
     from stopset.monitor.service import start
 
-    config = load_config(args.config)
     heard = config.bus.link if config.bus else config.joint_states.key if config.joint_states else ""
     if config.rtde:
         heard = f"the controller at {config.rtde.host}:{config.rtde.port}"
@@ -28,6 +31,6 @@ def run(args: argparse.Namespace) -> int:
     where = config.zenoh.file or ", ".join([*listened, *config.zenoh.connect])
     say(f"listening to {heard}, publishing {config.prefix}/** on {where}; stop with Ctrl-C")
     say(NOTICE)
-    code, health = start(config, args.seconds)
+    code, health = start(config, begun, args.seconds)
     say(f"{health['samples']} samples, {health['gaps']} gaps, {health['faults']} faults")
     return code

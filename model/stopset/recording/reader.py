@@ -22,9 +22,9 @@ import pyarrow.parquet as pq
 from stopset.errors import RecordingError
 from stopset.recording.seen import open_seen
 from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
-from stopset.recording.unpacked import Allowance, TooLargeError
 from stopset.robot import Robot
 from stopset.types import Array
+from stopset.unpacked import Allowance, TooLargeError
 
 BATCH_ROWS = 65_536
 FEWEST_STAMPS = 30  # of a trial whose clock is looked at

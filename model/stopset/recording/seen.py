@@ -14,7 +14,7 @@ from typing import Any
 import pyarrow as pa
 
 from stopset.errors import RecordingError
-from stopset.recording.unpacked import MESSAGE, Allowance, TooLargeError, mcap_records
+from stopset.unpacked import MESSAGE, Allowance, TooLargeError, mcap_records
 
 SIGNALS = {"q": "position", "dq": "velocity", "tau": "effort", "temp": "temperature"}
 

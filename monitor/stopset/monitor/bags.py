@@ -18,8 +18,8 @@ import numpy as np
 from stopset.errors import BusError, RecordingError
 from stopset.monitor.jointstate import JointState, decode
 from stopset.recording import Meta, Recording
-from stopset.recording.unpacked import MESSAGE, PIECE, Allowance, TooLargeError, Unpacking, mcap_records
 from stopset.types import Array
+from stopset.unpacked import MESSAGE, PIECE, Allowance, TooLargeError, Unpacking, mcap_records
 
 BAG_SUFFIXES = frozenset({".mcap", ".db3"})
 SHORTEST = 10

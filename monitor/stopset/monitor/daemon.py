@@ -35,6 +35,7 @@ from stopset.monitor.remaining import Remaining
 from stopset.monitor.report import RunCounts, Turn, health, twin
 from stopset.monitor.sample import Sample
 from stopset.monitor.source import NoSource, SampleSource, resumed
+from stopset.monitor.spawned import Spawned
 from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide
 from stopset.monitor.stopdesk import StopDesk, seen_by
 from stopset.monitor.verdict import Conformance, Verdict
@@ -60,6 +61,7 @@ class Beside:
     load: Callable[[], Model] | None = None
     recorder: Recorder | None = None
     granted: Granted = Granted({})  # noqa: RUF009 - frozen
+    begun: Spawned | None = None  # what will bound stops, loading already
 
 
 class Daemon:
@@ -72,7 +74,7 @@ class Daemon:
         self.granted = beside.granted
         self.clock: Clock = beside.clock or SystemClock()
         self.reloading = Reloading(beside.load, self._prepare)
-        self._use(self._prepare(model, beside.desk))
+        self._use(self._prepare(model, beside.desk, beside.begun))
         self.recovery = Recovery(self.limits)
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
         self.operators = Operators.of(config.operators)
@@ -95,7 +97,7 @@ class Daemon:
 
     # ---- the model --------------------------------------------------------------------------------------------------
 
-    def _prepare(self, model: Model, desk: StopDesk | None = None) -> Loaded:
+    def _prepare(self, model: Model, desk: StopDesk | None = None, begun: Spawned | None = None) -> Loaded:
         c, quantum = self.config, self.source.quantum
         if model.n > MAX_JOINTS:
             raise NotCovered(f"the arm has {model.n} joints, the state message carries {MAX_JOINTS}; a wider layout is needed")
@@ -103,7 +105,8 @@ class Daemon:
         text = Path(c.model).read_bytes()
         watch = watch_for(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]), self.cycle_s)
         if desk is None:
-            desk = StopDesk(c.model, seen_by(model), c.stops, c.payload_kg, quantum, clock=self.clock, sha256=model.sha256)
+            about = seen_by(model), c.stops, c.payload_kg, quantum
+            desk = StopDesk(c.model, *about, clock=self.clock, sha256=model.sha256, begun=begun)
         return Loaded(model, text, watch, desk, Remaining.of(c, model))
 
     def _use(self, loaded: Loaded) -> None:

@@ -7,7 +7,6 @@ box. The answer is where the first stretch keeps its limits no more. It is advic
 from __future__ import annotations
 
 import contextlib
-import multiprocessing as mp
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -17,6 +16,7 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import Masses, StopLimits, Stops
+from stopset.monitor.spawned import Spawned, Work
 from stopset.types import Array
 
 if TYPE_CHECKING:
@@ -63,6 +63,10 @@ def _advise(
             pipe.send((t, largest_override(bound, q, dq, limits)))
 
 
+def _advice() -> Work:
+    return _advise
+
+
 @dataclass(slots=True)
 class Advisor:
     """Asks every ``limits.override_every_s``; ``said``: stamp of the state [s] and the part of its speed, None before the first."""
@@ -76,13 +80,10 @@ class Advisor:
     _next: float = float("-inf")
 
     def __post_init__(self) -> None:
-        context = mp.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        c = self.config
-        args = (c.model, self.sha256, c.payload_kg, c.stops, c.limits, theirs)
-        self._process = context.Process(target=_advise, args=args, daemon=True, name="override")
-        self._process.start()
-        theirs.close()
+        c, spawned = self.config, Spawned.begin(_advice, "override")
+        self._process, self._pipe = spawned.process, spawned.pipe
+        with contextlib.suppress(OSError):  # it has ended: no advice
+            spawned.assign(c.model, self.sha256, c.payload_kg, c.stops, c.limits)
 
     def offer(self, now: float, t: float, q: Array, dq: Array) -> None:
         """The newest state, at ``now`` [s, monotonic]; takes an answer if there is one. Never waits, never raises."""

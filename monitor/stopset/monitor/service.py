@@ -28,15 +28,16 @@ from stopset.monitor.realtime import claim
 from stopset.monitor.report import about, health
 from stopset.monitor.rtde_source import RtdeSource
 from stopset.monitor.source import BACKLOG, CanSource, JointStateSource, NoSource, SampleSource
+from stopset.monitor.spawned import Spawned
 from stopset.monitor.watch import check_cycle
 
 
-def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
+def start(config: Config, begun: Spawned, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     """Open everything the configuration names, run until SIGTERM or SIGINT (or ``seconds``), close. Exit code, last health.
 
-    SIGHUP reads the model anew.
+    ``begun``: the process that will bound stops. SIGHUP reads the model anew.
     """
-    granted = claim(lock=config.realtime, priority=config.priority, cores=config.cores)
+    granted = claim(lock=config.realtime, priority=config.priority, cores=config.cores, begun=(begun.process.pid,))
     load = trusted(config)
     model = load()
     profile = load_profile(config.bus.profile) if config.bus else None
@@ -69,7 +70,7 @@ def start(config: Config, seconds: float = 0.0) -> tuple[int, dict[str, Any]]:
     try:
         daemon = Daemon(
             config, model, first_source(), Overheard(link, recorder), cycle_s,
-            Beside(latch=latch, signer=signer, load=load, recorder=recorder, granted=granted),
+            Beside(latch=latch, signer=signer, load=load, recorder=recorder, granted=granted, begun=begun),
         )  # fmt: skip
     except BaseException:
         link.close()

@@ -9,7 +9,6 @@ narrow ones would cost more than their share of a core (`stopset.monitor.asking`
 from __future__ import annotations
 
 import contextlib
-import multiprocessing as mp
 import threading
 from collections import deque
 from dataclasses import dataclass, field
@@ -25,7 +24,7 @@ from stopset.monitor.certificates import Certificate, Numbers, holds
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Masses, Stops
 from stopset.monitor.sample import Quantum
-from stopset.monitor.stopworker import work
+from stopset.monitor.spawned import Spawned
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -48,6 +47,7 @@ class StopDesk:
     restarts: int = 0
     clock: Clock = field(default_factory=SystemClock)
     sha256: str = ""  # of the model that is watched; its file may hold another one by now
+    begun: Spawned | None = None  # the other process, if it was begun before
     counters: dict[str, Counter] = field(init=False)
     budget: Budget = field(init=False)
     _motion: Heading = field(init=False)
@@ -96,12 +96,10 @@ class StopDesk:
         }  # fmt: skip
 
     def _start(self) -> None:
-        context = mp.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        args = (self.model_path, self.sha256, self.payload, self.stops, self.categories, theirs)
-        self._process = context.Process(target=work, args=args, daemon=True, name="stop-bounds")
-        self._process.start()
-        theirs.close()
+        spawned, self.begun = self.begun or Spawned.bounding_stops(), None
+        self._process, self._pipe = spawned.process, spawned.pipe
+        with contextlib.suppress(OSError):  # it has ended, which its thread is told
+            spawned.assign(self.model_path, self.sha256, self.payload, self.stops, self.categories)
         self._ready = False
         for c in self.counters.values():
             c.waiting = None

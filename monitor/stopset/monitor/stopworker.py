@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,10 +22,9 @@ from stopset.artifact import load_model
 from stopset.errors import ModelFileError, StopsetError
 from stopset.monitor.certificates import Certificate, Numbers
 from stopset.monitor.config import Masses, Stops
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.ramp import Ramp
 from stopset.types import Array
-
-if TYPE_CHECKING:
-    from stopset.reach.stops import StopBounds
 
 SWITCH_S = 1e-4  # [s] a category may keep the others from running; a proof's Python parts last milliseconds
 MOST_CAPSULES = 200  # of a bound that are kept for pictures (0.15 ms to send); one in more pieces has none, rather than a part
@@ -80,9 +79,6 @@ def asked(pipe: Connection) -> Iterator[Any]:
 
 def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
     """The bounds of a model, with this ``sha256`` if given, with the ramp that is stated; or None and why there are none."""
-    from stopset.reach.stops import StopBounds
-    from stopset.reach.stops.ramp import Ramp
-
     model = load_model(model_path)
     ramp = None
     if stops.ramp_time_s or stops.ramp_deceleration:

@@ -17,7 +17,7 @@ from can.io.generic import MessageReader
 
 from stopset.errors import RecordingError
 from stopset.monitor.links.batch import Frame
-from stopset.recording.unpacked import Allowance, TooLargeError, Unpacking, check_piece, inflated
+from stopset.unpacked import Allowance, TooLargeError, Unpacking, check_piece, inflated
 
 LOG_SUFFIXES = frozenset({".log", ".asc", ".blf", ".trc"})
 

@@ -13,8 +13,8 @@ import numpy as np
 from stopset.errors import ModelFileError
 from stopset.offline.nominal.normal_equations import DELAYS, NormalEquations, empty, layout_of
 from stopset.offline.nominal.preprocess import Preprocessing
-from stopset.recording.unpacked import check_zip
 from stopset.robot import Robot
+from stopset.unpacked import check_zip
 
 SCHEMA = 1
 ARRAYS = ("rows_moving", "rows_still", "speed", "load", "span", "reference")

@@ -36,9 +36,9 @@ from stopset.offline.identify.signals_file import meta_of
 from stopset.offline.nominal.normal_equations_file import load_sums as load_nominal
 from stopset.offline.nominal.normal_equations_file import sums_bytes
 from stopset.recording import Recording, SuiteKey, counted
-from stopset.recording.unpacked import check_zip
 from stopset.sets import Box
 from stopset.types import Array
+from stopset.unpacked import check_zip
 
 Arrays = dict[str, NDArray[Any]]
 FORMAT = "stopset state"

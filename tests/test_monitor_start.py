@@ -1,0 +1,109 @@
+"""What a monitor does before its first OK is begun in time, and nothing is loaded for it that it does not use."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor_arm import known_model
+from monitor_process import environment
+from patience import wait
+from stopset.artifact import save_model
+from stopset.monitor.config import Stops
+from stopset.monitor.realtime import GOT, claim
+from stopset.monitor.sample import Quantum
+from stopset.monitor.spawned import Spawned
+from stopset.monitor.stopdesk import StopDesk, seen_by
+
+BEGUN = """
+import sys
+from stopset.monitor.spawned import Spawned
+
+def begin(cls, load, name):
+    print(name, sorted({"numpy", "zenoh", "stopset.monitor.service"} & set(sys.modules)))
+    raise SystemExit(0)
+
+Spawned.begin = classmethod(begin)
+from stopset.cli.main import main
+main(["monitor", "--config", sys.argv[1]])
+"""
+LOADED = (
+    'import sys, stopset.cli.main, stopset.monitor.service; print(sorted({"pyarrow", "stopset.reach.stops"} & set(sys.modules)))'
+)
+
+
+def said_by(code: str, *words: str) -> str:
+    """What a process of its own prints."""
+    return subprocess.run(
+        [sys.executable, "-c", code, *words], env=environment(), capture_output=True, text=True, check=True
+    ).stdout
+
+
+def test_what_bounds_stops_begins_to_load_before_the_daemon_does(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text('model = "m.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n')
+    assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == "stop-bounds []"
+
+
+def test_the_daemon_loads_nothing_that_only_recordings_or_proofs_need() -> None:
+    assert said_by(LOADED).strip() == "[]"
+
+
+def test_a_desk_takes_the_process_that_was_begun_and_another_when_that_ends(tmp_path: Path) -> None:
+    model = save_model(known_model(), tmp_path / "m.model.json")
+    begun, still = Spawned.bounding_stops(), np.zeros(6)
+    desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
+
+    def bounded() -> bool:
+        desk.offer(time.monotonic(), still, still)
+        return desk.now(still, still)[1]
+
+    try:
+        assert desk._process is begun.process and wait(bounded, 60.0)
+        begun.process.kill()
+        assert wait(lambda: bounded() and desk.restarts == 1 and desk._ready, 60.0)
+        assert desk._process is not begun.process and desk._process.is_alive()
+    finally:
+        desk.close()
+
+
+def test_a_process_that_has_ended_before_it_is_assigned_is_begun_anew(tmp_path: Path) -> None:
+    model = save_model(known_model(), tmp_path / "m.model.json")
+    begun, still = Spawned.bounding_stops(), np.zeros(6)
+    begun.process.kill()
+    begun.process.join()
+    desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
+
+    def bounded() -> bool:
+        desk.offer(time.monotonic(), still, still)
+        return desk.now(still, still)[1]
+
+    try:
+        assert wait(bounded, 60.0) and desk.restarts == 1
+    finally:
+        desk.close()
+
+
+def test_a_process_nobody_assigns_ends_with_who_began_it() -> None:
+    begun = Spawned.bounding_stops()
+    begun.pipe.close()
+    begun.process.join(60.0)
+    assert begun.process.exitcode == 0
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core is all there is")
+def test_it_goes_to_the_cores_that_the_loop_is_given() -> None:
+    all_cores, begun = os.sched_getaffinity(0), Spawned.bounding_stops()
+    core = min(all_cores)
+    try:
+        granted = claim(cores=(core,), begun=(begun.process.pid,))
+        assert granted.said[f"cores {core}"] == GOT and os.sched_getaffinity(begun.process.pid) == {core}
+    finally:
+        os.sched_setaffinity(0, all_cores)
+        begun.process.kill()
+        begun.process.join()
