@@ -8,14 +8,9 @@
 #include <string.h>
 
 #include "stopset.h"
+#include "wide.h"
 
 enum { J = STOPSET_JOINTS, X = 2 * STOPSET_JOINTS };
-
-#if defined(__GNUC__) && !defined(STOPSET_NARROW)
-#define UNROLLED static inline __attribute__((always_inline)) /* where n is a number the loops below become straight lines */
-#else
-#define UNROLLED static inline
-#endif
 
 static const double inf = 1.0 / 0.0, least = 1e-300;
 

@@ -22,4 +22,12 @@ typedef int64_t Choice __attribute__((vector_size(32), aligned(8), may_alias));
 #else
 #define STOPSET_WIDE
 #endif
+
+/* Where n is a number loops become straight lines. */
+#if defined(__GNUC__) && !defined(STOPSET_NARROW)
+#define UNROLLED static inline __attribute__((always_inline))
+#else
+#define UNROLLED static inline
+#endif
+enum { USUAL_JOINTS = 6 }; /* of most arms: what they spend their time in is compiled for these once more */
 #endif

@@ -19,8 +19,22 @@ typedef struct {
     int n;
     double R[9 * SN], o[3 * SN], z[3 * SN], s[3 * SN]; /* link frames; twists of the joints */
     double mass[SN], moment[3 * SN], inertia[9 * SN];  /* composite bodies from joint i on, about the base origin, in base axes */
+    double turn_moment[3 * SN], turn_inertia[9 * SN];  /* how these change as they turn about axis i */
     Wrench own[SN], rate[SN][SN]; /* momentum of what joint j turns, at its unit speed; how that changes with the angle of joint k > 0 */
 } Bodies;
+
+/* Points r of a body move with z x r + s: so do m r, summed, and m (r.r 1 - r r'). */
+static void turn_composite(Bodies *b, int i) {
+    const double *z = b->z + 3 * i, *s = b->s + 3 * i, *h = b->moment + 3 * i, *I = b->inertia + 9 * i, hs = 2.0 * dot(h, s);
+    double zI[3][3]; /* its columns: z x those of I, which is symmetric */
+    cross(z, h, b->turn_moment + 3 * i);
+    for (int r = 0; r < 3; r++) {
+        b->turn_moment[3 * i + r] += b->mass[i] * s[r];
+        cross(z, I + 3 * r, zI[r]);
+    }
+    for (int r = 0; r < 3; r++)
+        for (int c = 0; c < 3; c++) b->turn_inertia[9 * i + 3 * r + c] = zI[c][r] + zI[r][c] - (s[r] * h[c] + h[r] * s[c]) + (r == c ? hs : 0.0);
+}
 
 static void composites(const double *pi, Bodies *b) {
     for (int i = b->n - 1; i >= 0; i--) {
@@ -38,6 +52,7 @@ static void composites(const double *pi, Bodies *b) {
             }
         for (int r = 0; r < 3; r++) b->moment[3 * i + r] = h[r] + P[0] * p[r] + (i + 1 < b->n ? b->moment[3 * i + 3 + r] : 0.0);
         b->mass[i] = P[0] + (i + 1 < b->n ? b->mass[i + 1] : 0.0);
+        turn_composite(b, i);
     }
 }
 
@@ -95,13 +110,16 @@ static void moved(const Bodies *b, int k, const double *w, const double *v, doub
     for (int r = 0; r < 3; r++) dv[r] += x[r];
 }
 
-/* The bodies from k on turn under a motion (w, v) that does not: its momentum less that of a motion that turns along. */
+/* The bodies from k on turn under a motion (w, v) that does not: how its momentum changes. */
 static Wrench behind(const Bodies *b, int k, const double *w, const double *v) {
-    double dw[3], dv[3];
-    const Wrench f = momentum_of(b, k, w, v);
-    moved(b, k, w, v, dw, dv);
-    const Wrench along_with = momentum_of(b, k, dw, dv);
-    return less(turned(b, k, &f), &along_with);
+    const double *moment = b->turn_moment + 3 * k;
+    Wrench f;
+    double x[3];
+    times(b->turn_inertia + 9 * k, w, f.l);
+    cross(moment, v, x);
+    for (int r = 0; r < 3; r++) f.l[r] += x[r];
+    cross(w, moment, f.p);
+    return f;
 }
 
 /* What turns about axis k gives a momentum's rate: joint j with it, or the bodies behind joint j's own turn. */

@@ -4,8 +4,7 @@
 #include "stops.h"
 
 /* L anywhere within `far` of the pose: L_ab changes with q_c, c > a, by no more than L_c,max(b, c). */
-static void far_roots(const Expansion *E, const double *far, double *root) {
-    const int n = E->n;
+UNROLLED void far_roots(int n, const Expansion *E, const double *far, double *root) {
     for (int a = n - 1; a >= 0; a--)
         for (int b = a; b < n; b++) {
             root[a * n + b] = E->root[a * n + b];
@@ -15,8 +14,7 @@ static void far_roots(const Expansion *E, const double *far, double *root) {
 
 /* of[m], m > i: sum over o, u > i of far_o far_u times a bound of the third slopes of M_i. about joints of which the last but o and u
  * is m; pairs[c]: sum of far_o far_u over pairs of which c is the last. */
-static void third_slopes(const Expansion *E, int i, const double *far, const double *root, double *of, double *pairs) {
-    const int n = E->n;
+UNROLLED void third_slopes(int n, int i, const double *far, const double *root, double *of, double *pairs) {
     double third[SN], before = 0.0, behind = 0.0;
     for (int c = i + 1; c < n; c++) {
         double longest = 0.0;
@@ -40,8 +38,7 @@ typedef struct {
     double all[BEND_ROWS + LANES], half[BEND_ROWS + LANES];
 } Bends;
 
-STOPSET_WIDE static void sum_bends(const Expansion *E, const double *far, Bends *out) {
-    const int n = E->n;
+UNROLLED void sum_bends(int n, const Expansion *E, const double *far, Bends *out) {
     int row = 0;
     for (int i = 0; i + 1 < n; i++) {
         const int m = n - 1 - i;
@@ -65,18 +62,17 @@ STOPSET_WIDE static void sum_bends(const Expansion *E, const double *far, Bends 
     }
 }
 
-static void inertia(const Near *near, const double *mid, const double *rad, const double *far, Local *out) {
+UNROLLED void inertia(int n, const Near *near, const double *mid, const double *rad, const double *far, Local *out) {
     const Expansion *E = &near->E;
     const StopsetCurvature *K = &near->plant->curvature;
     const StopsetParts *parts = near->parts;
-    const int n = E->n;
     double root[SN * SN], third[SN], pairs[SN];
     Bends bends;
     const double *bend = bends.all, *extra = bends.half;
-    far_roots(E, far, root);
-    sum_bends(E, far, &bends);
+    far_roots(n, E, far, root);
+    sum_bends(n, E, far, &bends);
     for (int i = 0; i < n; i++) {
-        third_slopes(E, i, far, root, third, pairs);
+        third_slopes(n, i, far, root, third, pairs);
         for (int j = i; j < n; j++, bend += n - 1 - i, extra += n - 1 - i) {
             const double *dM = E->dM + (i * n + j) * n, *dMp = E->dMp + (i * n + j) * n;
             double m = E->M[i * n + j], r = 0.0, p = E->Mp[i * n + j], pr = 0.0;
@@ -121,7 +117,7 @@ typedef struct {
     double middle[PAIRS], spread[PAIRS], largest[PAIRS];
 } Products;
 
-static void products(int n, const double *vc, const double *vr, const double *va, Products *out) {
+UNROLLED void products(int n, const double *vc, const double *vr, const double *va, Products *out) {
     int m = 0;
     for (int k = 0; k < n; k++)
         for (int o = k; o < n; o++, m++) {
@@ -137,8 +133,7 @@ typedef struct {
     double c[SN], cr[SN], e[SN], er[SN];
 } Velocity;
 
-STOPSET_WIDE static void velocity_terms(const Expansion *E, const Local *at, const Products *v, Velocity *out) {
-    const int n = E->n;
+UNROLLED void velocity_terms(int n, const Expansion *E, const Local *at, const Products *v, Velocity *out) {
     for (int i = 0; i < n; i += LANES) {
         Four c = {0}, cr = {0}, e = {0}, er = {0};
         int m = 0;
@@ -172,11 +167,10 @@ void stops_start_local(int n, Local *out) {
     memset(out->rest, 0, size);
 }
 
-void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out) {
+UNROLLED void box_terms(int n, const Near *near, const Span *x, const Span *w, Local *out) {
     const Expansion *E = &near->E;
     const StopsetParts *parts = near->parts;
     const double *of_gravity = near->plant->curvature.g, *x_lo = x->lo, *x_hi = x->hi, *w_lo = w->lo, *w_hi = w->hi;
-    const int n = E->n;
     double mid[SN], rad[SN], far[SN] = {0.0}, vc[SN], vr[SN], va[SN];
     Products speeds;
     Velocity v;
@@ -192,9 +186,9 @@ void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out)
         out->v[k] = vc[k];
         out->v_rad[k] = vr[k];
     }
-    inertia(near, mid, rad, far, out);
+    inertia(n, near, mid, rad, far, out);
     products(n, vc, vr, va, &speeds);
-    velocity_terms(E, out, &speeds, &v);
+    velocity_terms(n, E, out, &speeds, &v);
     for (int i = 0; i < n; i++) {
         double g = E->g[i], r = size_of(E->gp[i]);
         for (int k = 0; k < n; k++) {
@@ -211,6 +205,17 @@ void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out)
         out->e_lo[i] = share * (v.e[i] - v.er[i]) - g - r;
         out->e_hi[i] = share * (v.e[i] + v.er[i]) - g + r;
     }
+}
+
+STOPSET_WIDE static void box_terms_usual(const Near *near, const Span *x, const Span *w, Local *out) { box_terms(USUAL_JOINTS, near, x, w, out); }
+
+STOPSET_WIDE static void box_terms_any(const Near *near, const Span *x, const Span *w, Local *out) { box_terms(near->E.n, near, x, w, out); }
+
+void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out) {
+    if (near->E.n == USUAL_JOINTS)
+        box_terms_usual(near, x, w, out);
+    else
+        box_terms_any(near, x, w, out);
 }
 
 void stops_span(int n, const double *lo, const double *hi, Span *out) {

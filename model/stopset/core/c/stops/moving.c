@@ -12,23 +12,14 @@
 
 const double stopset_rate_rounding = 1e-9; /* relative outward widening */
 
-/* Least of x / (1 + e) over |e| <= d. */
-static inline void least_over(const Four *x, const Four *d, Four *out) {
-    const Choice up = *x >= 0.0;
-    const Four none = {-STOPS_INF, -STOPS_INF, -STOPS_INF, -STOPS_INF}, by = CHOSEN(up, 1.0 + *d, 1.0 - *d);
-    *out = CHOSEN(up | (*d < 1.0), *x / by, none);
-}
-
 /* Torque of each joint, any sign that is possible (r), and for each row of accelerations; which joints go forward and backward, and
- * which are visited only where they move. Flags are all bits or none. */
+ * which are visited only where they move. */
 typedef struct {
     _Alignas(32) double r_lo[SN], r_hi[SN], of[RATES][SN], own[SN];
-    int64_t goes[2][SN], moves[SN];
-    unsigned some_go[2], some_move; /* the same flags, a bit a joint */
+    unsigned go[2], move; /* a bit a joint */
 } Torque;
 
-static void torques(const Local *at, const Step *s, Torque *t) {
-    const int n = at->n;
+UNROLLED void torques(int n, const Local *at, const Step *s, Torque *t) {
     memset(t, 0, sizeof *t);
     for (int i = 0; i < n; i++) {
         double push = 0.0;
@@ -43,38 +34,38 @@ static void torques(const Local *at, const Step *s, Torque *t) {
         t->r_lo[i] = (s->plus[i] || !s->minus[i] ? f_lo : b_lo) - own;
         t->r_hi[i] = (s->minus[i] ? b_hi : f_hi) + own;
         t->own[i] = at->dM[i * n + i];
-        t->goes[0][i] = -(int64_t)(s->zero[i] || s->plus[i]);
-        t->goes[1][i] = -(int64_t)(s->zero[i] || s->minus[i]);
-        t->moves[i] = -(int64_t)(s->plus[i] || s->minus[i]);
-        for (int backward = 0; backward < 2; backward++) t->some_go[backward] |= (unsigned)(t->goes[backward][i] & 1) << i;
-        t->some_move |= (unsigned)(t->moves[i] & 1) << i;
+        t->go[0] |= (unsigned)(s->zero[i] | s->plus[i]) << i;
+        t->go[1] |= (unsigned)(s->zero[i] | s->minus[i]) << i;
+        t->move |= (unsigned)(s->plus[i] | s->minus[i]) << i;
     }
 }
 
-/* Answers of the joints from i on, others' part `rest` of them apart: w per torque, their own inertia's `spread` and who is in use. */
+/* Answers of the joints from i on, others' part of them apart: w per torque; +-Inf where a joint does not answer. Their own inertia scales them
+ * by 1 / (1 + e), |e| <= d < 1, so by `few` to `many`; many is Inf where d is not below 1. What rounding of these two makes is in the slack. */
 typedef struct {
     int i;
-    Four lo, hi, w, spread;
-    Choice used;
+    Four lo, hi, w, few, many;
 } Answers;
 
-/* One row of the hull grows by them. */
-static inline void widen(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
-    const Four torque = a->w * *(const Four *)(t->of[row] + a->i), x = is_lower(row) ? a->lo + torque : -a->hi - torque;
-    Four found, *hull = (Four *)(out[row] + a->i);
-    least_over(&x, &a->spread, &found);
-    if (!is_lower(row)) found = -found;
-    const Choice flagged = a->used & *(const Choice *)(t->goes[is_backward(row)] + a->i);
-    *hull = CHOSEN(flagged & (is_lower(row) ? found < *hull : found > *hull), found, *hull);
+UNROLLED void lowers(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
+    const Four x = a->lo + a->w * *(const Four *)(t->of[row] + a->i), small = x * a->few, large = x * a->many, found = BELOW(small, large);
+    Four *hull = (Four *)(out[row] + a->i);
+    *hull = BELOW(*hull, found);
+}
+
+UNROLLED void raises(const Torque *t, const Answers *a, int row, double out[RATES][SN]) {
+    const Four x = a->hi + a->w * *(const Four *)(t->of[row] + a->i), small = x * a->few, large = x * a->many, found = ABOVE(small, large);
+    Four *hull = (Four *)(out[row] + a->i);
+    *hull = ABOVE(*hull, found);
 }
 
 /* The hull grows by the accelerations when exactly the joints `inside`, a bit each, move. A: transposed, stride SN. */
-STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, unsigned inside, double out[RATES][SN]) {
-    const unsigned answering = inside | ~t->some_move;
+UNROLLED void visit(int n, const Torque *t, const double *A, unsigned inside, double out[RATES][SN]) {
+    const unsigned answering = inside | ~t->move;
     for (int i = 0; i < n; i += LANES) {
-        const unsigned go[2] = {(answering & t->some_go[0]) >> i & LANE_BITS, (answering & t->some_go[1]) >> i & LANE_BITS};
+        const unsigned go[2] = {(answering & t->go[0]) >> i & LANE_BITS, (answering & t->go[1]) >> i & LANE_BITS};
         if (!(go[0] | go[1])) continue;
-        const Choice place = LANES_FROM(i), here = IN_LANES(inside >> i), used = here | ~*(const Choice *)(t->moves + i);
+        const Choice place = LANES_FROM(i), here = IN_LANES(inside >> i), used = IN_LANES(answering >> i);
         const Four own = {A[i * (SN + 1)], A[(i + 1) * (SN + 1)], A[(i + 2) * (SN + 1)], A[(i + 3) * (SN + 1)]};
         Four lo = {0}, hi = {0};
         for (int j = 0; j < n; j++) {
@@ -85,18 +76,31 @@ STOPSET_WIDE static void visit(int n, const Torque *t, const double *A, unsigned
             hi += (Four)((Choice)most_of & other);
         }
         /* a resting joint would start with this acceleration, were it to start; else it is visited with i moving instead: the same equation */
-        const Four w = CHOSEN(here, -own, 1.0 / own);
+        const Four share = CHOSEN(here, -own, 1.0 / own), w = (Four)((Choice)share & used), d = SIZES_OF(w) * *(const Four *)(t->own + i);
         lo = CHOSEN(here, lo, lo * w);
         hi = CHOSEN(here, hi, hi * w);
-        /* the joint's own inertia M_ii +- dM_ii scales its answer: a_i (1 + w d) = the rest, |d| <= dM_ii */
-        const Answers a = {i, lo, hi, w, w * *(const Four *)(t->own + i), used};
-        for (int row = 0; row < RATES; row++)
-            if (go[is_backward(row)]) widen(t, &a, row, out);
+        /* the joint's own inertia M_ii +- dM_ii scales its answer: a_i (1 + w e) = the rest, |e| <= dM_ii */
+        const Answers a = {i, CHOSEN(used, lo, FOUR_OF(STOPS_INF)), CHOSEN(used, hi, FOUR_OF(-STOPS_INF)), w, 1.0 / (1.0 + d),
+                           CHOSEN(d < 1.0, 1.0 / (1.0 - d), FOUR_OF(STOPS_INF))};
+        if (go[0]) {
+            lowers(t, &a, 0, out);
+            raises(t, &a, 1, out);
+            raises(t, &a, 4, out);
+            lowers(t, &a, 5, out);
+            raises(t, &a, 8, out);
+        }
+        if (go[1]) {
+            lowers(t, &a, 2, out);
+            raises(t, &a, 3, out);
+            raises(t, &a, 6, out);
+            lowers(t, &a, 7, out);
+            lowers(t, &a, 9, out);
+        }
     }
 }
 
 /* What is written in fours is read in fours: a number written alone would have to reach memory before four could be read there. */
-STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
+UNROLLED void turn_over(int n, double *A, int k, int into) {
     const double d = 1.0 / A[k * SN + k], s = into ? d : -d;
     Four share[GROUPS], column[GROUPS];
     for (int g = 0; g * LANES < n; g++) {
@@ -118,20 +122,19 @@ STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
     }
 }
 
-void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
-    const int n = at->n;
+UNROLLED void accelerations(int n, const Local *at, const Step *s, double out[RATES][SN]) {
     _Alignas(32) double A[SN * SN] = {0};
     unsigned inside = 0;
     int open[SN], count = 0;
     _Alignas(32) Torque t;
-    torques(at, s, &t);
+    torques(n, at, s, &t);
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < SN; i++) out[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) A[j * SN + i] = at->M[i * n + j];
     for (int i = 0; i < n; i++) {
         if (!s->zero[i]) {
-            stops_turn_over(n, A, i, 1);
+            turn_over(n, A, i, 1);
             inside |= 1u << i;
         } else if (s->plus[i] || s->minus[i])
             open[count++] = i;
@@ -141,12 +144,31 @@ void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) 
         if (++subset >= (int64_t)1 << count) break;
         int bit = 0;
         while (!((subset >> bit) & 1)) bit++;
-        stops_turn_over(n, A, open[bit], !(inside >> open[bit] & 1u));
+        turn_over(n, A, open[bit], !(inside >> open[bit] & 1u));
         inside ^= 1u << open[bit];
     }
     for (int row = 0; row < RATES; row++)
         for (int i = 0; i < n; i++) {
-            const double slack = stopset_rate_rounding * (size_of(out[row][i]) + 1.0);
-            out[row][i] += is_lower(row) ? -slack : slack;
+            const int goes = t.go[is_backward(row)] >> i & 1u; /* else it was carried along with others */
+            const double found = goes ? out[row][i] : is_lower(row) ? STOPS_INF : -STOPS_INF, slack = stopset_rate_rounding * (size_of(found) + 1.0);
+            out[row][i] = is_lower(row) ? found - slack : found + slack;
         }
+}
+
+STOPSET_WIDE static void accelerations_usual(const Local *at, const Step *s, double out[RATES][SN]) { accelerations(USUAL_JOINTS, at, s, out); }
+
+STOPSET_WIDE static void accelerations_any(const Local *at, const Step *s, double out[RATES][SN]) { accelerations(at->n, at, s, out); }
+
+void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
+    if (at->n == USUAL_JOINTS)
+        accelerations_usual(at, s, out);
+    else
+        accelerations_any(at, s, out);
+}
+
+STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
+    if (n == USUAL_JOINTS)
+        turn_over(USUAL_JOINTS, A, k, into);
+    else
+        turn_over(n, A, k, into);
 }

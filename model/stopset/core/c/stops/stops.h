@@ -14,7 +14,7 @@ static inline double most(double a, double b) { return b > a ? b : a; }
 static inline double size_of(double x) { return fabs(x); } /* an instruction, where a comparison is a branch that goes either way */
 /* Place of two joints, a <= b, among all pairs. */
 static inline int pair(int a, int b) { return b * (b + 1) / 2 + a; }
-#define STOPS_INF (1.0 / 0.0)
+#define STOPS_INF HUGE_VAL /* 1.0 / 0.0 would be divided anew each time */
 /* Where the second slopes of M_ij, i <= j, begin among all: m x m of each, m = n - 1 - i, as those of joints up to i are zero. */
 static inline int bends_up_to(int m) { return m * (m + 1) / 2 * (m * (m + 1) / 2) + m * (m + 1) * (2 * m + 1) / 6; }
 static inline int bends_of(int n, int i, int j) {
