@@ -17,11 +17,19 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.description import robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.changes import changes
+from stopset.offline.diagnose.diagnose import SINCE
+from stopset.offline.diagnose.examination import examine
+from stopset.offline.diagnose.levels import level_changes
+from stopset.offline.diagnose.page import page
+from stopset.offline.diagnose.question import question
+from stopset.offline.diagnose.remainder import accounts_for
+from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.progress import silent
-from stopset.recording import Recordings
+from stopset.recording import Recording, Recordings
 from stopset.simulation import Scenario, prepare
 from stopset.simulation.plant import SimulatedPlant
 from test_hidden_effects import ARM
@@ -142,6 +150,94 @@ def test_a_shared_motor_that_leaves_no_trace_is_none(program: Pair) -> None:
     assert asked_effects(run, (), [name]) == ()
 
 
+def test_how_much_friction_there_is_does_not_depend_on_how_long_the_arm_stands(pair: Pair) -> None:
+    """R-990: rows at rest are no slow ones: they made the usual speed, and with it a day's difference, half as large."""
+    rng = np.random.default_rng(0)
+    q, dq, ddq = rng.uniform(-1.0, 1.0, (3, 40, 3))
+    at_rest = np.where(np.arange(80) < 40, 1.0, 1e-4)[:, None]  # readings of a joint at rest are not zero
+    moving = np.arange(80)[:, None] + np.zeros(3) < 40
+    alone = level_changes(pair.model, q, dq, ddq, moving[:40])
+    resting = level_changes(pair.model, *(np.tile(x, (2, 1)) * at_rest for x in (q, dq, ddq)), moving)
+    assert [c.levels for c in alone] == [c.levels for c in resting]
+    for a, b in zip(alone, resting, strict=True):
+        assert a.least == pytest.approx(b.least, rel=1e-12) and a.error == pytest.approx(b.error, rel=1e-12)
+        if a.friction:
+            assert not b.columns[40:].any() and not b.beside[40:].any()
+
+
+def test_how_much_friction_there_is_is_known_better_than_its_parts(program: Pair) -> None:
+    """R-991: a program of few speeds hardly tells dry friction from viscous, and the model says so; of their sum it is sure."""
+    model = program.model
+    v = np.random.default_rng(1).uniform(0.5, 1.0, (60, 3)) * np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
+
+    def errors(of: Model) -> list[float]:
+        found = level_changes(of, np.zeros_like(v), v, np.zeros_like(v), np.ones(v.shape, bool))
+        dry = [c for c in found if c.friction and [x.effect for x in c.levels] == ["coulomb"]]
+        return [float(c.error[0]) for c in dry]
+
+    stated = model.provenance["friction_covariance"]
+    for f in model.effects:
+        if f.effect in ("coulomb", "viscous"):
+            (symbol, std), of = next(iter(f.std.items())), stated[f.joint]
+            k = of["of"].index([f.effect, symbol])
+            assert np.sqrt(of["covariance"][k][k]) == pytest.approx(std, rel=1e-9)
+    parts = [next(f.std["F_c"] for f in model.effects if (f.effect, f.joint) == ("coulomb", j)) for j in model.joints]
+    assert all(e < 0.5 * p for e, p in zip(errors(model), parts, strict=True))
+    # numbers that err apart from each other add up
+    apart = {j: {**x, "covariance": np.diag(np.diag(x["covariance"])).tolist()} for j, x in stated.items()}
+    wider = errors(replace(model, provenance={**model.provenance, "friction_covariance": apart}))
+    assert all(e > p for e, p in zip(wider, parts, strict=True))
+
+
+def odd(s: Scenario, drag: float) -> Recordings:
+    """Weeks later: a brake that drags, and at its joint what no catalogue has, 0.7 N m."""
+    here = np.arange(3) == DRAGGING
+    plant = s.cell.truth.plant._replace(fc=s.cell.truth.plant.fc + drag * here)
+    later = recorded(replace(s, cell=replace(s.cell, truth=replace(s.cell.truth, plant=plant), seed=LATER)))
+
+    def more(r: Recording) -> Recording:
+        return replace(r, tau=r.tau + 1.4 * np.outer(np.sin(9 * r.q[:, 1]) * np.sin(7 * r.q[:, 0]), here))
+
+    return replace(later, trials=tuple(map(more, later.trials)))
+
+
+def test_a_level_accounts_for_a_joint_as_a_claim_must(pair: Pair) -> None:
+    """R-993: where only noise is left any change will do; where more is, it must explain half of what is not noise."""
+    q = question(pair.model, odd(pair.scenario, drag=0.0))
+    x = examine(q.robot, q.asked, q.fitted, known=q.known)
+    found, left = x.found, x.left
+    assert DRAGGING in left.noisy and not {0, 2} & {*left.noisy, *left.depends}
+    assert all(accounts_for(found, left, j, 0.99) for j in (0, 2))
+    first = found.claims[0].excess_before[DRAGGING] if found.claims else found.excess[DRAGGING]
+    enough = 1.0 - limit.TELLING * (first - 1.0) / first  # the largest share of the variance that may be left
+    assert accounts_for(found, left, DRAGGING, enough - 1e-6) and not accounts_for(found, left, DRAGGING, enough + 1e-6)
+    # a pattern in little variance is left as well, and no level explains a part of what is only noise
+    calm = replace(found, claims=(), excess=(1.0, 0.99 * limit.SENSORS, 1.0))
+    assert not accounts_for(calm, replace(left, noisy=(), depends={DRAGGING: []}), DRAGGING, 0.01)
+    assert accounts_for(calm, replace(left, noisy=(), depends={}), DRAGGING, 0.99)
+    # against what there was before anything was claimed
+    claim = Claim(None, 100.0, (), (1.0, 9.0, 1.0), (1.0, 5.0, 1.0))  # type: ignore[arg-type]
+    claimed = replace(found, claims=(claim,), excess=(1.0, 5.0, 1.0))
+    noisy = replace(left, noisy=(DRAGGING,))
+    assert accounts_for(claimed, noisy, DRAGGING, 0.55) and not accounts_for(replace(claimed, claims=()), noisy, DRAGGING, 0.61)
+    assert not accounts_for(claimed, noisy, DRAGGING, 0.56)
+
+
+def test_what_a_changed_level_leaves_is_told_beside_it(pair: Pair) -> None:
+    """R-992: a brake that drags, and something that no catalogue has: the change with its size, and the rest with its own."""
+    joint = pair.model.joints[DRAGGING]
+    found = diagnose_model(pair.model, odd(pair.scenario, drag=DRAG))[0]
+    assert found.verdict == "changed" and [c.label for c in found.changed] == [f"coulomb:{joint}"]
+    (c,), (left,) = found.changed, found.unexplained
+    assert left.joint == joint and left.size == c.error_after and left.size == pytest.approx(1.4 / 2, rel=0.2)
+    assert left.depends_on
+    assert any("beside what changed" in note and joint in note for note in found.notes)
+    assert found.next_experiment and found.next_experiment.startswith(SINCE) and len(found.next_experiment) > len(SINCE)
+    # no command is told that would refuse: every model has friction
+    text = page(pair.model, found, "identified model").html()
+    assert "stopset identify" in text and "stopset add" not in text
+
+
 def test_since_when_is_told_where_the_change_is_in_the_recordings(pair: Pair) -> None:
     """A brake that begins to drag in the middle of the recordings: its joint, its torque, and from which trial on."""
     s, dragging = pair.scenario, np.array([0.0, DRAG, 0.0])
@@ -176,7 +272,8 @@ def test_a_model_that_does_not_know_how_friction_is_shared_names_nothing_for_tha
         (symbol, value), (shift, std) = next(iter(f.values.items())), off[f.effect]
         return replace(f, values={symbol: value + shift}, std={symbol: std})
 
-    model = replace(pair.model, effects=tuple(map(unsure, pair.model.effects)))
+    alone = {k: v for k, v in pair.model.provenance.items() if k != "friction_covariance"}  # as models had it before
+    model = replace(pair.model, effects=tuple(map(unsure, pair.model.effects)), provenance=alone)
     s = pair.scenario
     found = diagnose_model(model, recorded(replace(s, cell=replace(s.cell, seed=LATER))))[0]
     assert found.verdict == "none" and not found.claims and not found.changed

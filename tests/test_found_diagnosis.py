@@ -46,11 +46,20 @@ def case_of(arm: str, name: str, seed: int) -> dict[str, Any]:
     [
         ("hysteresis loaded", 41182),  # the first fit takes what builds up for viscous friction, and leaves hardly any dry one
         ("later healthy one", 41196),  # a moment of five times its error, and a mass of -0.05 +- 0.04 kg, was a payload
+        ("later dragging", 53224),  # a program that stands half of its time was taken for one of half the speed
     ],
 )
 def test_of_hardware_size(name: str, seed: int) -> None:
     answer = case_of("lwa4p", name, seed)
     assert answer["right"] and not answer["false"], answer
+
+
+def test_a_gas_spring_takes_the_place_of_the_spring_that_was_claimed_first(tmp_path: Path) -> None:
+    """They were named together, of one gas spring."""
+    arm = tmp_path / "three.urdf"
+    arm.write_text(ARM)
+    answer = case_of(str(arm), "counterbalance loaded", 703)
+    assert answer["named"] == ["counterbalance:lift"], answer
 
 
 @pytest.mark.shared

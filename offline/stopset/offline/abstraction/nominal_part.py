@@ -53,6 +53,7 @@ class NominalPart:
     chosen: tuple[Gain, ...] = ()  # laws of friction that nobody asked for, by evidence
     limited: tuple[str, ...] = ()  # those of the notes that say what a limit decided
     taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
+    friction_covariance: dict[str, dict[str, Any]] = field(default_factory=dict)  # see `Nominal.friction_covariance`
     unseen: float | None = None
 
 
@@ -156,7 +157,7 @@ def _regressed(
     notes = (*notes, *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
     return NominalPart(
         arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, of_regression(cad, nominal, found.sample),
-        limited=nominal.limited, taken_out=nominal.taken_out(),
+        limited=nominal.limited, taken_out=nominal.taken_out(), friction_covariance=nominal.friction_covariance(),
     )  # fmt: skip
 
 

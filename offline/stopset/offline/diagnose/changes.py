@@ -192,7 +192,7 @@ def _rows(
     if not parts:
         return np.zeros((0, model.n)), np.zeros(0, np.intp), [], [], []
     q, dq, ddq, left = (np.concatenate(x) for x in zip(*parts, strict=True))
-    levels = level_changes(model, q, dq, ddq)
+    levels = level_changes(model, q, dq, ddq, np.isfinite(left))
     return left, np.array(block), levels, look_alikes(model, q, dq, ddq, levels), begins
 
 

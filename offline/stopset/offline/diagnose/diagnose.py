@@ -143,7 +143,19 @@ def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -
         )
         for c in changed
     )  # fmt: skip
-    return replace(found, verdict="changed", ranked=ranked, changed=tuple(changed), next_experiment=SINCE)
+    left = tuple(_beside(u, changed) for u in found.unexplained)
+    answer = replace(found, verdict="changed", ranked=ranked, changed=tuple(changed), next_experiment=SINCE, unexplained=left)
+    if found.verdict != "unknown":
+        return answer
+    rest = "beside what changed, something is left that no effect explains"
+    where = ", ".join(f"{u.joint} {u.size:.3g} N m" for u in left)
+    todo = " ".join(x for x in (SINCE, found.next_experiment) if x)
+    return replace(answer, notes=(*found.notes, f"{rest}: {where}" if where else rest), next_experiment=todo)
+
+
+def _beside(left: Unexplained, changed: Sequence[Change]) -> Unexplained:
+    """What is left of a joint beside what changed there: the error after that."""
+    return replace(left, size=min([c.error_after for c in changed if c.at == left.joint], default=left.size))
 
 
 def _accounts(x: Examination, c: Change) -> bool:

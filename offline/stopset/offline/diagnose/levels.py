@@ -61,8 +61,11 @@ class LevelChange:
         return replace(self, columns=self.columns[here], beside=self.beside[here])
 
 
-def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelChange]:
-    """Every change to ask for, over rows of a motion (rows, n)."""
+def level_changes(model: Model, q: Array, dq: Array, ddq: Array, moving: NDArray[np.bool_]) -> list[LevelChange]:
+    """Every change to ask for, over rows of a motion (rows, n); friction's at the rows where its joint is ``moving`` (rows, n).
+
+    How fast a joint usually moves decides how much friction it has: a program that stands half of its time is no slow one.
+    """
     n, out = model.n, []
     dry_law, damping, offset, scale, body = map(of_part, PARTS)
     rigid = torques(model.robot.chain, model.robot.pi, q, dq, ddq) + model.rotor * ddq
@@ -72,13 +75,15 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array) -> list[LevelCh
         block[:, j] = np.column_stack(columns)
         return block
 
-    rubs = [at(np.sign(dq[:, j]), dq[:, j], j=j) for j in range(n)]
+    speed = np.where(moving, dq, 0.0)
+    rubs = [at(np.sign(v), v, j=j) for j, v in enumerate(speed.T)]
     for j, joint in enumerate(model.joints):
         (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
-        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error))
+        error = _level_error(model, j, q[moving[:, j]], dq[moving[:, j]], ddq[moving[:, j]])
+        out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error), error)
         least = np.array([limit.DAILY * dry])
         out.append(LevelChange(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
-        usual = dry + wet * float(np.mean(np.abs(dq[:, j])))
+        usual = dry + wet * _usual(speed[:, j])
         if float(np.sqrt(np.mean(rigid[:, j] ** 2))) > limit.LOADED_GAIN * usual:
             least = np.array([limit.LEAST_GAIN])
             out.append(LevelChange(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
@@ -152,18 +157,18 @@ def _columns(model: Model, f: Fitted, law: Effect, q: Array, dq: Array, ddq: Arr
     return np.stack([effect_torques(model.robot, [x], s) for x in unit], axis=2)
 
 
-def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float]) -> list[LevelChange]:
+def _friction(
+    joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tuple[ColumnLevel, float], error: float
+) -> list[LevelChange]:
     """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
 
     ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
-    at the speeds of these rows: what counts is how much friction there is.
+    at the speeds of these rows: what counts is how much friction there is, which the model knows but for an ``error`` [N m].
     """
     (a, a_error), (b, b_error) = dry, wet
     direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
-    usual = float(np.sum(np.abs(speed)) / max(np.sum(np.abs(direction)), 1.0))
+    usual = _usual(speed)
     level = a.before + usual * b.before
-    # the model's own error of the level: its two parts err against each other, and cancel at one speed
-    error = abs(a_error - usual * b_error)
     shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
     free = LevelChange(
         joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
@@ -181,6 +186,33 @@ def _friction(joint: int, rubs: Array, dry: tuple[ColumnLevel, float], wet: tupl
             for x, said, per in one
         ),
     ]
+
+
+def _level_error(model: Model, joint: int, q: Array, dq: Array, ddq: Array) -> float:
+    """[N m] standard error of the friction that a model says a joint has in the mean over these rows (rows, n).
+
+    Its numbers err against each other, so that their sum is known better than any of them.  Of a model that does not say how, they err as
+    those of a regression on these rows would.
+    """
+    name, moved = model.joints[joint], np.abs(dq[:, joint])
+    if not len(moved):
+        return 0.0
+    laws = {f.effect: f for f in model.effects if f.joint == name}
+    stated = model.provenance.get("friction_covariance", {}).get(name, {"of": [["", ""]]})
+    if not all(effect in laws for effect, _ in stated["of"]):
+        (_, a), (_, b) = (_level(model, of_part(part), name) for part in ("dry friction", "damping"))
+        m1, m2 = float(np.mean(moved)), float(np.mean(moved**2))
+        return float(np.sqrt(a**2 + (m1 * b) ** 2 - 2 * m1 / np.sqrt(m2) * a * m1 * b))
+    columns = {effect: _columns(model, laws[effect], get(effect), q, dq, ddq)[:, joint] for effect in dict(stated["of"])}
+    place = [[t.symbol for t in get(effect).terms].index(symbol) for effect, symbol in stated["of"]]
+    along = np.sign(dq[:, joint])
+    mean = np.array([np.mean(along * columns[e][:, k]) for (e, _), k in zip(stated["of"], place, strict=True)])
+    return float(np.sqrt(max(mean @ np.array(stated["covariance"]) @ mean, 0.0)))
+
+
+def _usual(speed: Array) -> float:
+    """Mean speed [rad/s] where it is not zero."""
+    return float(np.sum(np.abs(speed)) / max(np.count_nonzero(speed), 1))
 
 
 def _level(model: Model, law: Effect, joint: str) -> tuple[float, float]:

@@ -88,7 +88,10 @@ def _place(r: Ranked) -> str:
 
 
 def _next(found: Diagnosis) -> str:
-    todo = [f"`stopset add M {found.ranked[0].label} --data ... --out M2`, then `stopset compare M2`"] if found.ranked else []
+    first = next((r for r in found.ranked if r.change is None), None)
+    todo = [f"`stopset add M {first.label} --data ... --out M2`, then `stopset compare M2`"] if first else []
+    if found.ranked and not first:
+        todo.append("`stopset identify` from recordings of today: every model has what changed, at another level")
     if found.next_experiment:
         todo.append(found.next_experiment.rstrip("."))
     if not todo:

@@ -148,6 +148,7 @@ def _provenance(run: Run, nominal: NominalPart) -> dict[str, Any]:
         "velocity": meta.velocity,
         "chosen": [g.name for g in nominal.chosen],
         "taken_out": list(nominal.taken_out),
+        "friction_covariance": nominal.friction_covariance,
         "description_read_again": asdict(held_to_pinocchio(robot)),
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

@@ -103,6 +103,17 @@ class Nominal:
             else ({"what": LOW_PASS, "joint": None, "value": cutoff, "std": KNOWN * cutoff, "unit": "Hz"}, *late)
         )
 
+    def friction_covariance(self) -> dict[str, dict[str, Any]]:
+        """Of each joint the numbers of its friction, ``of`` as [effect, symbol], and the ``covariance`` of their errors: some err
+        against each other, and how much friction there is at the recorded speeds is known far better than any of them."""
+        layout, head = self.data.layout, 10 * len(self.joints) + 1
+        out = {}
+        for j, (joint, columns) in enumerate(zip(self.joints, layout.columns, strict=True)):
+            at = layout.index(j)[head:]
+            of = [[c.effect.name, c.symbol] for c in columns]
+            out[joint] = {"of": of, "covariance": self.covariance[np.ix_(at, at)].tolist()}
+        return out
+
     def value(self, effect: str, joint: str) -> dict[str, float]:
         """Parameters of one effect at one joint; empty if it is not part of the model."""
         return next((dict(f.values) for f in self.friction if f.effect == effect and f.joint == joint), {})

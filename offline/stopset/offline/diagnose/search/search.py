@@ -18,7 +18,7 @@ from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
-from stopset.offline.diagnose.search.settle import added, said_already, settle
+from stopset.offline.diagnose.search.settle import added, instead, refines, said_already, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.progress import Progress, silent
 from stopset.types import Array
@@ -33,6 +33,7 @@ class Claim:
     rivals: tuple[Scored, ...]
     excess_before: tuple[float, ...]  # residual variance over sensor noise per joint, before the claim
     excess_after: tuple[float, ...]
+    finer: bool = False  # it took the place of a plainer law that had been claimed, and left too much
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -79,18 +80,21 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         open_ones = [s for s in left if s.candidate.key not in refused and not said_already(now, s.candidate)]
         best = refined(now, open_ones, hyper)
         best = [s for s in best if s.score >= limit.THRESHOLD]
+        claimed = [c for c in now.active if c.key in {x.scored.candidate.key for x in claims}]
         if best and claims:
-            loose = with_forms(now, [c for c in now.active if c.key in {x.scored.candidate.key for x in claims}], p.theta)
+            loose = with_forms(now, claimed, p.theta)
             loose_hyper, _ = loose.fit(hyper)
             best = [s for s in best if _stands(loose, s, loose_hyper)]
         if not best:
             break
         earlier, (top, rivals) = now, settle(now, best, hyper)
+        plainer = next((c for c in claimed if refines(top.candidate, c)), None)
+        if plainer is not None:
+            top, rivals = instead(now, plainer, top, hyper), ()
         now, hyper, p, candidate = top.now, top.hyper, top.fit, top.candidate
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
-        claimed = [c for c in earlier.active if c.key in {x.scored.candidate.key for x in claims}]
         if judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
@@ -101,7 +105,10 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
             error = held_out(now, hyper)
         before = error
         after = now.excesses(p.theta, hyper)
-        claims.append(Claim(top.scored, top.scored.score, rivals, excess, after))
+        replaced = next((k for k in claims if plainer is not None and k.scored.candidate.key == plainer.key), None)
+        since = excess if replaced is None else replaced.excess_before
+        claims = [k for k in claims if k is not replaced]
+        claims.append(Claim(top.scored, top.scored.score, rivals, since, after, finer=replaced is not None))
         where = "+".join(engine.data.joints[j] for j in candidate.joints) or "the whole arm"
         progress(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
@@ -146,7 +153,7 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
 
 def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothesis, Claim]:
     """A narrow decision between contenders taken again, now that all the other causes are known."""
-    if claim.scored.candidate.effect.role == "swing":
+    if claim.scored.candidate.effect.role == "swing" or claim.finer:
         return now, claim
     key = claim.scored.candidate.key
     top, rivals = settle(now.without(key), [claim.scored, *claim.rivals], hyper)
@@ -162,14 +169,5 @@ def _needed(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper) -> tuple[Hyp
         c = claim.scored.candidate
         if scores(now.without(c.key), [c], hyper)[0].score < limit.THRESHOLD:
             now = now.without(c.key)
-            retained = [_heir(claim, k) for k in retained if k.scored.candidate.key != c.key]
+            retained = [k for k in retained if k.scored.candidate.key != c.key]
     return now, retained
-
-
-def _heir(dropped: Claim, claim: Claim) -> Claim:
-    """A claim whose finer law has made its plainer form at the same joint needless explains what that did, too."""
-    old, new = dropped.scored.candidate, claim.scored.candidate
-    if old.effect.name not in new.effect.refines or old.joints != new.joints:
-        return claim
-    score = dropped.score + claim.score
-    return replace(claim, scored=replace(claim.scored, score=score), score=score, excess_before=dropped.excess_before)

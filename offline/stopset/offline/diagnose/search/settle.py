@@ -12,7 +12,7 @@ from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
-from stopset.offline.diagnose.search.refine import sharpened
+from stopset.offline.diagnose.search.refine import refine, sharpened
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,19 @@ def said_already(now: Hypothesis, c: Candidate) -> bool:
     def forms(x: Candidate) -> set[str]:
         return {x.effect.name, *x.effect.refines}
 
-    return any(a.joints == c.joints and a.effect.name not in c.effect.refines and bool(forms(a) & forms(c)) for a in now.active)
+    return any(a.joints == c.joints and not refines(c, a) and bool(forms(a) & forms(c)) for a in now.active)
+
+
+def refines(finer: Candidate, plainer: Candidate) -> bool:
+    """Whether one law is a finer form of the other one, at the same joints."""
+    return finer.joints == plainer.joints and plainer.effect.name in finer.effect.refines
+
+
+def instead(now: Hypothesis, plainer: Candidate, top: Settled, hyper: Hyper) -> Settled:
+    """The finer law of ``top`` in the place of a plainer one that was claimed: there is one spring, not two."""
+    base = now.without(plainer.key)
+    h, _ = base.fit(hyper)
+    return _refitted(base, refine(base, top.scored, h), h)
 
 
 def added(now: Hypothesis, candidate: Candidate) -> Candidate:
