@@ -179,7 +179,7 @@ def readings(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
         if jumps:
             first = jumps[0]
             turn = abs(abs(first.size) / (2 * np.pi) - 1) < AGREES / 10
-            seen = f"q jumps by {first.size:.3g} rad at {first.t:.4g} s of {first.trial}" + (
+            seen = f"q jumps by {first.size:.3g} rad at {first.t:.4g} s of {first.label}" + (
                 f", {len(jumps)} times in all" if len(jumps) > 1 else ""
             )
             do = "unwrap the angle" if turn else "remove such readings, or look whether an encoder was set anew"

@@ -32,7 +32,7 @@ class Jump:
     joint: int
     t: float
     size: float
-    trial: str
+    label: str
 
 
 @dataclass(slots=True)
