@@ -249,6 +249,21 @@ def test_a_lost_sync_does_not_mix_two_cycles() -> None:
     assert d.frame(SYNC_ID, b"", 1.4 * DT) is not None, "held up, and then in time again"
 
 
+@pytest.mark.parametrize("heard", [True, False])
+def test_an_error_that_is_gone_is_no_all_clear_while_others_are_left(heard: bool) -> None:
+    """Drives with several errors say for each that it is gone (code 0), and what is left in the error register: CiA 301."""
+    d, first, one_left = Decoder(replace(PROFILE, heartbeat_s=0.0)), b"\x10\x23\x03\0\0\0\0\0", b"\0\0\x01\0\0\0\0\0"
+    for data in ([first] if heard else []) + [one_left]:
+        d.frame(0x085, data, 1.0)
+        assert d.nodes.bad(1.0)[0] == 0b100
+    assert f"the emergency {'0x2310' if heard else '0xFFFF'}" in d.nodes.bad(1.0)[1]
+    for unread in (b"", b"\0", b"\0\0"):
+        d.frame(0x085, unread, 1.1)
+        assert d.nodes.bad(1.1)[0] == 0b100, "a message without its register is no all-clear"
+    d.frame(0x085, bytes(8), 1.2)
+    assert d.nodes.bad(1.2) == (0, "")
+
+
 def test_other_nodes_and_emergencies_are_told_apart() -> None:
     d = Decoder(PROFILE)
     _, frames = one_cycle()

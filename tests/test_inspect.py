@@ -12,7 +12,9 @@ import pytest
 
 from nominal_cases import F_C, JOINTS, RATE, Truth, arm, campaign, moving, shaken
 from stopset.cli.main import main
+from stopset.errors import RecordingError
 from stopset.offline.inspect import Inspection, inspect_recordings
+from stopset.offline.inspect.gate import check_signals
 from stopset.recording import Meta, Recording, write_recordings
 from stopset.robot.rigid import torques
 
@@ -359,3 +361,62 @@ def test_a_joint_at_rest_is_no_swapped_column_however_long_it_rests(tmp_path: Pa
     moving = [r for r in trials if r.phase != "static"]
     long = [replace(rested(r), trial=100 * k + r.trial) for k in range(10) for r in moving]
     assert "dq_not_derivative" not in kinds(look(tmp_path, long, robot=False))
+
+
+def jumped(r: Recording, size: float, samples: int) -> Recording:
+    q = r.q.copy()
+    q[800 : 800 + samples, 1] += size
+    return replace(r, q=q)
+
+
+@pytest.mark.parametrize(
+    ("size", "samples", "words"),
+    [
+        (1.0, 1, "2 times in all"),
+        (0.3, 5, "2 times in all"),
+        (0.2, 10_000, "an encoder was set anew"),
+        (-2 * np.pi, 400, "unwrap"),
+    ],
+    ids=["one reading", "a few", "homed anew", "a turn"],
+)
+def test_a_reading_that_jumps_is_not_taken_for_swapped_columns(
+    tmp_path: Path, trials: tuple[Recording, ...], size: float, samples: int, words: str
+) -> None:
+    moving_ones = [k for k, r in enumerate(trials) if r.phase != "static"]
+    one = [jumped(r, size, samples) if k == moving_ones[0] else r for k, r in enumerate(trials)]
+    i = look(tmp_path, one, robot=False)
+    assert kinds(i) == {"jump"}, [f.says for f in i.findings]
+    (f,) = [f for f in i.findings if f.kind == "jump"]
+    assert f.joint == "shoulder" and f.value == pytest.approx(size, rel=0.02) and words in f.says
+    assert f.seen.split(" at ")[1].startswith(f"{trials[moving_ones[0]].t[800]:.4g} s of ")
+    write_recordings(tmp_path / "jumped.parquet", META, one)
+    with pytest.raises(RecordingError, match="shoulder: q jumps by"):
+        check_signals(arm(), META, one)
+
+
+@pytest.mark.parametrize("name", ["tau", "q"])
+def test_a_channel_that_nobody_recorded(tmp_path: Path, trials: tuple[Recording, ...], name: str) -> None:
+    def dead(r: Recording) -> Recording:
+        x = getattr(r, name).copy()
+        x[:, 1] = 0.0
+        return replace(r, **{name: x})
+
+    i = look(tmp_path, [dead(r) for r in trials], robot=False)
+    assert "frozen" in kinds(i, "shoulder", ("error",)) and "frozen" not in kinds(i, "elbow"), [f.says for f in i.findings]
+
+
+def test_a_pause_is_no_lost_samples_and_no_swapped_columns(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    def paused(r: Recording) -> Recording:
+        keep = np.r_[0:500, 900 : len(r.t)]  # 1.6 s of motion that nobody recorded
+        return replace(r, t=r.t[keep], q=r.q[keep], dq=r.dq[keep], tau=r.tau[keep])
+
+    i = look(tmp_path, broken(trials, paused), robot=False)
+    assert kinds(i) == {"pauses"} and not i.wrong, [f.says for f in i.findings]
+
+
+def test_stamps_in_milliseconds_are_seen_though_nothing_moves(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    still = [replace(r, phase="closed_loop", t=1e3 * r.t, q=0 * r.q, dq=0 * r.dq) for r in trials if r.phase != "static"]
+    i = look(tmp_path, still)
+    assert "slow_rate" in kinds(i, severity=("error",)), [f.says for f in i.findings]
+    with pytest.raises(RecordingError, match="is t in ms"):
+        check_signals(arm(), META, still)

@@ -156,7 +156,7 @@ def test_a_share_that_is_used_up_is_no_bound_and_is_said() -> None:
 def test_what_a_wide_box_takes_says_nothing_of_near_ones() -> None:
     """Proofs that fail take a hundred times as long; near boxes asked for as far ahead as that were as wide, and failed too."""
     box, good = np.ones(2 * N), Numbers(np.ones(N), np.ones(N), np.ones(N), 0.1, np.ones(N, bool))
-    c, motion = Counter.of(N, Budget(0.1), 3), Heading(SEEN)
+    c, motion = Counter.of(N, Budget(0.1, saved=10 * FULL), 3), Heading(SEEN)
     motion.see(0.0, np.zeros(N), np.zeros(N))
     for size, numbers, took in ((NARROW, good, 0.002), (WIDE, Numbers.none(N, "not proved"), 0.2), (NARROW, good, 0.002)):
         c.waiting = size

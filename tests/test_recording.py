@@ -174,3 +174,76 @@ def test_cut_and_grouping(trials: list[Recording], tmp_path: Path) -> None:
     r = got.trials[0].cut(3, 9)
     assert len(r.t) == 6
     assert np.array_equal(r.dq, trials[0].dq[3:9])
+
+
+def as_found(trials: list[Recording], path: Path, without: tuple[str, ...] = ()) -> str:
+    """A table of numbers as a tool exports it, as CSV text, and so written to ``path``."""
+    table = {k: v for k, v in columns(trials, JOINTS).items() if k not in without and not k.startswith("temp")}
+    pacsv.write_csv(pa.table(table), path, pacsv.WriteOptions(quoting_style="none"))
+    return path.read_text()
+
+
+@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", ","), ("\t", ".")])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_csv_is_read_as_tools_write_it(
+    trials: list[Recording], tmp_path: Path, separator: str, decimal: str, encoding: str
+) -> None:
+    text = as_found(trials, tmp_path / "a.csv")
+    other = text.replace(",", separator).replace(".", decimal)
+    (tmp_path / "b.csv").write_bytes(other.replace("\n", "\r\n").encode(encoding))
+    for a, b in zip(read_recordings(tmp_path / "a.csv"), read_recordings(tmp_path / "b.csv"), strict=True):
+        same(a, b)
+
+
+def test_text_that_is_not_unicode_is_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes("t,q_Grünarm\n0,0\n".encode("latin-1"))
+    with pytest.raises(RecordingError, match=r"a\.csv is no text in UTF-8 .*; expected a CSV table: export it as UTF-8"):
+        read_meta(tmp_path / "a.csv")
+
+
+def test_an_arm_that_stands_still_at_first_is_read_though_its_numbers_are_whole(tmp_path: Path) -> None:
+    """Types of a CSV table are read off its first megabyte: speeds of 0 there are no whole numbers."""
+    rows, still = 120_000, 80_000
+    lines = ["t,q_a,dq_a,tau_a,temp_a"]
+    for k in range(rows):
+        lines.append(f"{k}e-3,0,0,0," if k < still else f"{k}e-3,{1e-6 * (k - still)},0.001,0.25,")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines) + "\n")
+    assert path.stat().st_size > 1 << 20
+    (r,) = read_recordings(path)
+    assert len(r.t) == rows and r.temp is None and r.tau[still - 1, 0] == 0 and r.tau[still, 0] == 0.25 and r.dq[-1, 0] == 0.001
+
+
+@pytest.mark.parametrize("rows", [7, 94, 10_000])
+def test_where_no_column_says_so_the_clock_tells_trials(
+    trials: list[Recording], tmp_path: Path, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each trial's clock begins anew; in a second file it goes on, after a pause."""
+    monkeypatch.setattr(reader, "BATCH_ROWS", rows)
+    for name, begin in (("anew", np.zeros(len(trials))), ("on", 5.0 * np.arange(len(trials)))):
+        shifted = [dataclasses.replace(r, t=r.t + b, temp=None) for r, b in zip(trials, begin, strict=True)]
+        table = {k: v for k, v in columns(shifted, JOINTS).items() if k not in ("phase", "suite", "trial")}
+        got = read_recordings(save(tmp_path / f"{name}.parquet", table, meta(JOINTS)))
+        assert [(r.phase, r.suite, r.trial) for r in got] == [("closed_loop", 0, k) for k in range(len(trials))]
+        for a, b in zip(got, shifted, strict=True):
+            assert np.array_equal(a.t, b.t) and np.array_equal(a.q, b.q)
+        assert "a trial wherever t goes back or rests for 1 s" in " ".join(got.meta.warnings)
+
+
+def test_speeds_that_nobody_recorded_are_differences_of_angles(trials: list[Recording], tmp_path: Path) -> None:
+    as_found(trials, tmp_path / "a.csv", tuple(f"dq_{j}" for j in JOINTS))
+    got = read_recordings(tmp_path / "a.csv")
+    assert (
+        got.meta.velocity == "derived" and "a.csv has no dq_: speeds are differences of neighbouring angles" in got.meta.warnings
+    )
+    for a, b in zip(got, trials, strict=True):
+        assert np.array_equal(a.dq, np.gradient(a.q, a.t, axis=0)) and np.abs(a.dq - b.dq).max() < 0.05 * np.abs(b.dq).max()
+    as_found(trials, tmp_path / "b.csv", (f"dq_{JOINTS[1]}",))
+    with pytest.raises(RecordingError, match=f"column dq_{JOINTS[1]} missing"):
+        read_meta(tmp_path / "b.csv")
+
+
+def test_the_torque_that_is_missing_is_named(trials: list[Recording], tmp_path: Path) -> None:
+    as_found(trials, tmp_path / "a.csv", (f"tau_{JOINTS[2]}",))
+    with pytest.raises(RecordingError, match=f"no tau_{JOINTS[2]}; expected"):
+        read_meta(tmp_path / "a.csv")

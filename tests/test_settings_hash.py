@@ -107,6 +107,7 @@ LEFT_OUT = (
     ("stopset.reach.stops.tube", "OK ENDLESS UNBOUNDED _ROWS", CODES),
     ("stopset.reach.stops.types", "LAYERS CATEGORIES", WORDS),
     ("stopset.reach.stops.words", "*", WORDS),
+    ("stopset.recording.csv_table", "LINES LONGEST", BUDGET),
     ("stopset.recording.reader", "BATCH_ROWS", BUDGET),
     ("stopset.recording.types", "PHASES UNCOUNTED EFFORTS", FORMAT),
     ("stopset.recording.writer", "GROUP_ROWS", FORMAT),

@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
+from stopset.recording.csv_table import open_csv
 from stopset.recording.seen import open_seen
 from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
 from stopset.robot import Robot
@@ -27,6 +28,8 @@ from stopset.types import Array
 from stopset.unpacked import Allowance, TooLargeError
 
 BATCH_ROWS = 65_536
+PAUSE = 1.0  # [s] between samples from which on nobody was recording
+SLOWER = 10.0  # times the usual distance of samples, of a slow clock's pause
 FEWEST_STAMPS = 30  # of a trial whose clock is looked at
 PRINTED = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)  # [s] what stamps are printed to
 ROUGH = 0.05  # of the period: stamps printed to less are as good as exact
@@ -52,7 +55,7 @@ def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
         return open_seen(path)
     try:
         if path.suffix.lower() == ".csv":
-            reader = pacsv.open_csv(path)
+            reader = open_csv(path, _is_signal)
             side = path.with_suffix(".json")
             meta = {b"recording": side.read_bytes()} if side.exists() else None
             return reader.schema.with_metadata(meta), iter(reader)
@@ -65,6 +68,10 @@ def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
         first = str(e).splitlines()[0]
         kind = "CSV table" if path.suffix.lower() == ".csv" else "Parquet file"
         raise RecordingError(f"{path} is not a readable {kind} ({first}); expected a recording: export it again") from e
+    except UnicodeDecodeError as e:
+        raise RecordingError(
+            f"{path} is no text in UTF-8 ({e.reason} at byte {e.start}); expected a CSV table: export it as UTF-8"
+        ) from e
 
 
 def _unpacked_size(file: pq.FileMetaData) -> int:
@@ -81,24 +88,31 @@ def _sha256(path: Path) -> str:
 def _meta(path: Path, schema: pa.Schema) -> Meta:
     columns = schema.names
     joints = tuple(c[2:] for c in columns if c.startswith("q_"))
-    missing = [c for c in ("t",) if c not in columns]
-    missing += [f"{s}_{j}" for j in joints for s in ("dq",) if f"{s}_{j}" not in columns]
+    slow = [f"dq_{j}" for j in joints if f"dq_{j}" not in columns]
+    derived = len(slow) == len(joints)
+    missing = [c for c in ("t",) if c not in columns] + ([] if derived else slow)
     if not joints or missing:
         what = ", ".join(missing[:6]) if missing else "q_<joint>"
         raise RecordingError(
             f"{path}: column {what} missing (it has {', '.join(columns[:8])}{' ...' if len(columns) > 8 else ''}); "
             "expected suite, trial, t and q_, dq_, tau_ of every joint"
         )
+    notes = _assumed(path, columns) + (
+        (f"{path.name} has no dq_: speeds are differences of neighbouring angles",) if derived else ()
+    )
     _check_types(path, schema)
     raw = (schema.metadata or {}).get(b"recording")
     if raw is None:
-        if not all(f"tau_{j}" in columns for j in joints):
+        lacking = [f"tau_{j}" for j in joints if f"tau_{j}" not in columns]
+        if lacking:
             raise RecordingError(
-                f"{path} has no metadata 'recording' and no tau_ columns; expected the effort kind and unit: "
+                f"{path} has no metadata 'recording' and no {', '.join(lacking)}; expected the effort kind and unit: "
                 "add the metadata (effort, velocity, clock, rate_hz)"
             )
-        note = f"{path.name} has no metadata: taken as motor torque, measured velocity, recorded clock"
-        return Meta(joints=joints, warnings=(note, *_assumed(path, columns)))
+        note = (
+            f"{path.name} has no metadata: taken as motor torque, {'derived' if derived else 'measured'} velocity, recorded clock"
+        )
+        return Meta(joints=joints, velocity="derived" if derived else "measured", warnings=(note, *notes))
     try:
         d = json.loads(raw)
         effort = str(d["effort"])
@@ -107,11 +121,11 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
             joints=tuple(d.get("joints", joints)),
             robot=str(d.get("robot", "")),
             effort=effort,
-            velocity=str(d.get("velocity", "measured")),
+            velocity="derived" if derived else str(d.get("velocity", "measured")),
             clock=str(d.get("clock", "recorded")),
             rate_hz=float("nan" if d.get("rate_hz") is None else d["rate_hz"]),
             torque_constant=None if constant is None else tuple(float(c) for c in constant),
-            warnings=_assumed(path, columns),
+            warnings=notes,
             said=tuple(str(x) for x in d.get("said", ())),
         )
     except (ValueError, TypeError, KeyError) as e:
@@ -143,15 +157,19 @@ def _assumed(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
     lacking = [c for c in ("phase", "suite", "trial") if c not in columns]
     if not lacking:
         return ()
-    how = "open loop" if lacking == ["phase"] else "closed loop, one motion per stretch of increasing t"
+    how = "open loop" if lacking == ["phase"] else "closed loop"
+    how += f", a trial wherever t goes back or rests for {PAUSE:g} s" if "trial" in lacking else ""
     return (f"{path.name} has no {', '.join(lacking)}: taken as {how}; what stands still throughout as a held pose",)
+
+
+def _is_signal(column: str) -> bool:
+    return column == "t" or column.startswith(("q_", "dq_", "tau_", "temp_", "i_"))
 
 
 def _check_types(path: Path, schema: pa.Schema) -> None:
     for field in schema:
-        signal = field.name == "t" or field.name.startswith(("q_", "dq_", "tau_", "temp_", "i_"))
-        kind, wanted = field.type, "numbers"
-        # a CSV column without a value has no type yet: what it should hold is checked row by row
+        signal, kind, wanted = _is_signal(field.name), field.type, "numbers"
+        # a column without any value has no type: what it should hold is checked row by row
         ok = pa.types.is_floating(kind) or pa.types.is_integer(kind) or (pa.types.is_null(kind) and field.name != "t")
         if field.name in ("suite", "trial"):
             signal, ok, wanted = True, pa.types.is_integer(kind), "whole numbers"
@@ -241,6 +259,7 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
     """Consecutive rows with the same (phase, suite, trial), across batches."""
     key: tuple[str, int, int] | None = None
     parts: list[dict[str, Any]] = []
+    begun, last = 0, float("nan")  # where no column says which trial a row is of: trials before it, its stamp
     try:
         for batch in batches:
             columns = {c: batch.column(c).to_numpy(zero_copy_only=False) for c in batch.schema.names}
@@ -250,8 +269,10 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
             phase = columns.get("phase")
             usual = "open_loop" if {"suite", "trial"} <= columns.keys() else "closed_loop"
             names = np.full(rows, usual, object) if phase is None else phase
-            for name in ("suite", "trial"):
-                columns.setdefault(name, np.zeros(rows, np.int64))
+            columns.setdefault("suite", np.zeros(rows, np.int64))
+            if "trial" not in columns:
+                columns["trial"] = begun + np.cumsum(_anew(columns["t"], last))
+                begun, last = int(columns["trial"][-1]), float(columns["t"][-1])
             change = (np.diff(columns["suite"]) != 0) | (np.diff(columns["trial"]) != 0) | (names[1:] != names[:-1])
             edges = [0, *(np.flatnonzero(change) + 1).tolist(), rows]
             for lo, hi in pairwise(edges):
@@ -269,6 +290,12 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
         raise RecordingError(f"{path}: suite or trial is not a whole number ({e}); expected integers") from e
     if key is not None:
         yield (*key, _joined(parts))
+
+
+def _anew(t: Array, before: float) -> NDArray[np.bool_]:
+    """Where stamps (N,) that follow ``before`` [s] begin a trial: the clock went back, or nothing was recorded for a while."""
+    dt = np.diff(t, prepend=before)
+    return (dt < 0) | (dt >= max(PAUSE, SLOWER * float(np.nanmedian(dt)) if len(t) > 1 else 0.0))
 
 
 def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
@@ -293,16 +320,21 @@ def _trial(
         constants = dict(zip(meta.joints, meta.torque_constant, strict=True))
         tau = current * np.array([constants[j] for j in joints])
     q, dq = table("q"), table("dq")
-    assert q is not None and dq is not None and tau is not None  # _meta checked the columns
+    assert q is not None and tau is not None  # _meta checked the columns
     trigger = columns.get("stop_trigger")
     temp = table("temp")
     t, rounded = _evened(np.array(columns["t"], dtype=np.float64))  # a copy: a view keeps the whole batch alive
     return Recording(
-        *key, place, t, q, dq, tau, rounded=rounded, condition=_condition(path, columns.get("condition")),
+        *key, place, t, q, _differences(q, t) if dq is None else dq, tau, rounded=rounded, condition=_condition(path, columns.get("condition")),
         temp=None if temp is None or np.isnan(temp).all() else temp,
         current=current,
         stop_trigger=None if trigger is None else np.asarray(trigger, dtype=bool),
     )  # fmt: skip
+
+
+def _differences(q: Array, t: Array) -> Array:
+    """Speeds [rad/s] of angles (N, n) at stamps (N,) that nobody recorded; zero where the stamps give none, which is refused after."""
+    return np.gradient(q, t, axis=0) if len(t) > 1 and (np.diff(t) > 0).all() else np.zeros_like(q)
 
 
 def _condition(path: Path, column: Any) -> str:

@@ -18,7 +18,9 @@ LONGEST = 0.3  # [s] a slower answer finds the arm outside its box
 WIDE_CAPACITY = 256  # certificates of wide boxes, per category
 PATIENCE = 6  # narrow boxes asked for after a wide one had no bound
 SHRINKS, GROWS, LEAST = 0.6, 1.1, 0.1  # of `Counter.reach`, after a refusal and after a bound
-FULL = 3.0  # [s] of processor time that is saved at most: a start, or a motion never seen, is bounded as tightly as it can be
+# [s] of processor time that is saved at most, and at the start: a motion never seen is bounded tightly at once, and five seconds of it cost
+# no more than the share; six times as much bounds no more states, and after the first round none more tightly
+FULL, BEGIN = 0.5, 0.2
 RECENT = 0.2  # part that the newest answer has in what a box is said to cost
 FARTHEST = 0.4  # [s] a long box reaches ahead at most: a longer one hardly says more than a wide one
 
@@ -28,7 +30,7 @@ class Budget:
     """Processor time of the other process; ``share``: of a core it may take in the long run."""
 
     share: float
-    saved: float = FULL  # [s] below zero after an answer that cost more
+    saved: float = BEGIN  # [s] below zero after an answer that cost more
     total: float = 0.0  # [s] spent so far
     _when: float | None = None
 

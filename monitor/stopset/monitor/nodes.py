@@ -21,6 +21,8 @@ NAMES = {BOOT: "starting", STOPPED: "stopped", OPERATIONAL: "operational", PREOP
 COMMANDS = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PREOPERATIONAL, 0x81: BOOT, 0x82: BOOT}
 PATIENCE = 3.0  # heartbeats that may be missed
 MAX_SAID = 64  # emergencies kept for telling
+REGISTER = 2  # byte of an emergency that holds the error register, object 0x1001: zero where no error is left
+UNREAD = 0xFFFF  # stands for an emergency that was not read, or not heard
 
 
 @dataclass(slots=True)
@@ -91,10 +93,7 @@ class Nodes:
             self.emergencies.append((node_id, data))
         node = self._nodes.get(node_id)
         if node is not None:
-            # a message that cannot be read is no all-clear; code 0x00xx says that the error is gone
-            node.emergency = int.from_bytes(data[:2], "little") if len(data) >= 2 else 0xFFFF
-            if node.emergency >> 8 == 0:
-                node.emergency = 0
+            node.emergency = _in_force(data, node.emergency)
             self._stands(node_id, node)
 
     def _stands(self, node_id: int, node: Node) -> None:
@@ -120,3 +119,15 @@ class Nodes:
         if self.heartbeat_s and not now - self.heard[node_id] <= self.patience:
             return f"has sent no heartbeat for {self.patience:g} s"
         return ""
+
+
+def _in_force(data: bytes, before: int) -> int:
+    """The emergency in force after a message, where ``before`` was; 0: none.
+
+    Code 0x00xx says that an error is gone, and the error register behind it whether it was the last: CiA 301 has a drive say so for each
+    of several, too. A message without a register cannot be read, and is no all-clear.
+    """
+    code = int.from_bytes(data[:2], "little") if len(data) > REGISTER else UNREAD
+    if code >> 8:
+        return code
+    return (before or UNREAD) if data[REGISTER] else 0

@@ -74,7 +74,7 @@ SCHEMA = 2  # of the hash: counted up when a name changes or the way values are 
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
-    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH"),
+    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH PAUSE SLOWER"),
     ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
     ("interval", interval, "_ULPS _TWO_PI"),

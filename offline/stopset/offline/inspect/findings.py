@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.inspect.tally import EVEN, LAGS, SignalSums
+from stopset.offline.inspect.tally import EVEN, LAGS, MOVING, SignalSums
 from stopset.offline.nominal.low_pass import TURNS_OVER
 from stopset.recording.types import Meta
 from stopset.types import Array
@@ -34,6 +34,7 @@ RIGHT_TORN = (0.1, 10.0)  # the same where samples were lost and stamps made up,
 OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 SAME = 3  # trials in which a signal stops at the very same value below its largest
 SLOW = 1 / 60  # [s] of a period: the filters of identification need ten samples per period of 6 Hz
+TOO_SLOW = 0.5  # [s] between samples: nothing of a motion is left
 OFF_RATE = 0.01  # relative: rates further off than this are told
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
@@ -78,6 +79,12 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     f"{t.missing} samples ({100 * lost:.2g} %) missing in {t.gaps} gaps, at most {t.longest_gap * 1e3:.3g} ms",
                     "none", "trials are split at long gaps; record again if a motion is lost in them", lost)
         )  # fmt: skip
+    if t.pauses:
+        often = f" at most, {len(t.pauses)} times" if len(t.pauses) > 1 else ""
+        out.append(
+            Finding("pauses", "warning", None, f"nothing was recorded for {max(t.pauses):.3g} s{often}", "samples throughout a trial",
+                    "nothing is known of the time between: make two trials of it", max(t.pauses))
+        )  # fmt: skip
     if t.repeated > max(2, NOTABLE_GAPS * t.samples):
         out.append(
             Finding("repeated_samples", "error" if t.repeated > 0.005 * t.samples else "warning", None,
@@ -102,7 +109,12 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
                     t.settling)
         )  # fmt: skip
-    if period > SLOW:
+    if period > TOO_SLOW:
+        out.append(
+            Finding("slow_rate", "error", None, f"samples lie {period:.3g} s apart", f"at most {TOO_SLOW:.3g} s",
+                    "is t in ms? write it in seconds; else record faster", 1 / period)
+        )  # fmt: skip
+    elif period > SLOW:
         out.append(
             Finding("slow_rate", "warning", None, f"{1 / period:.3g} Hz", f"at least {1 / SLOW:.0f} Hz",
                     "reversals of friction, gears and delays lie between such samples: a model of rigid body and friction is all they "
@@ -156,6 +168,29 @@ def saturation(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
             Finding("saturated", "error", joints[j], f"the {what} sits at {value:.5g} for {run} samples",
                     "a signal inside its range", "the drive or the logger clips: lower the demand or widen the range", value)
         )  # fmt: skip
+    return out
+
+
+def readings(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
+    """Readings that are none: angles that jump, signals that never change while the joint moves."""
+    out = []
+    for j, joint in enumerate(joints):
+        jumps = [x for x in t.jumps_of_q if x.joint == j]
+        if jumps:
+            first = jumps[0]
+            turn = abs(abs(first.size) / (2 * np.pi) - 1) < AGREES / 10
+            seen = f"q jumps by {first.size:.3g} rad at {first.t:.4g} s of {first.trial}" + (
+                f", {len(jumps)} times in all" if len(jumps) > 1 else ""
+            )
+            do = "unwrap the angle" if turn else "remove such readings, or look whether an encoder was set anew"
+            out.append(Finding("jump", "error", joint, seen, "a step that dq explains", do, first.size))
+    moved = _moved(t)
+    for name, span, moves in (("tau", t.range_tau, moved), ("q", t.range_q, np.abs(t.range_dq).max(axis=1) > MOVING)):
+        for k in np.flatnonzero(moves & (span[:, 0] == span[:, 1])):
+            out.append(
+                Finding("frozen", "error", joints[int(k)], f"{name} is {span[k, 0]:.4g} throughout while the joint moves", "a reading",
+                        "nobody recorded it: look for the channel", float(span[k, 0]))
+            )  # fmt: skip
     return out
 
 

@@ -11,7 +11,7 @@ from itertools import groupby
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.inspect.contradiction import dissents
-from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, saturation, torque_limits, velocity
+from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, readings, saturation, torque_limits, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.tally import SignalSums
@@ -34,11 +34,14 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
         tally.add(r)
     # a scale that no unit, sign or clock explains may be that of a few trials: sets that hold them say so
     speeds = velocity(tally, robot.joints, meta)
+    _refuse(readings(tally, robot.joints))
     _refuse(f for f in speeds if f.kind != "dq_scale")
     sound = all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds)
+    pace = clock(tally, meta, dq_sound=sound)
+    _refuse(f for f in pace if f.kind == "slow_rate")
     beyond = torque_limits(tally, robot.joints, robot.torque_limit)
     # a wrong unit is told best by the rigid body: of motor torque when that is fitted, see `check_torque`
-    found = [*clock(tally, meta, dq_sound=sound), *speeds, *saturation(tally, robot.joints), *beyond]
+    found = [*pace, *speeds, *saturation(tally, robot.joints), *beyond]
     if meta.effort == "compensated_torque":
         for r in some:
             momentum.add(r)

@@ -158,7 +158,7 @@ def _findings(
     clock = detect.clock(t, meta, dq_sound=all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds))
     if any(f.kind == "dropped_samples" for f in clock):  # stamps made up for fewer samples run slow by that alone
         speeds = [f for f in speeds if f.kind != "clock_scale"]
-    out = [*clock, *speeds, *detect.saturation(t, joints)]
+    out = [*clock, *speeds, *detect.readings(t, joints), *detect.saturation(t, joints)]
     if t.trials == 0:
         return out
     sign = detect.torque_power(t, joints)

@@ -7,12 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.recording.reader import PAUSE
 from stopset.recording.types import Recording
 from stopset.types import Array
 
 EVEN = 0.02  # relative spread of the period up to which stamps are even
 SURE = 3.0  # standard errors of the usual period by which stamps must run late for samples to be missing
 GAP = 1.6  # periods between stamps from which on a sample is missing
+JUMP, JUMPS_OUT = 0.05, 10.0  # [rad] that no sample explains, and times what the steps of q beside dq usually are
+RARE = 0.01  # share of a trial's steps up to which they are jumps, and not a dq that does not follow
 WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short against a motion
 LAGS = 15  # samples to each side in which dq is compared with the derivative of q
 MOVING = 0.02  # [rad/s]
@@ -20,6 +23,16 @@ LONG = 50  # samples from which on a trial's mean period is known to a per cent
 FOLLOWS = 0.4  # relative: a step of q is what dq says
 SETTLES = 3  # steps at a trial's start that dq does not explain, from which on it is said
 PLATEAU = 5  # equal samples in a row at a signal's largest value
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A step of a joint's reading that neither its speed nor the time between two samples explains: ``size`` [rad] at ``t`` [s]."""
+
+    joint: int
+    t: float
+    size: float
+    trial: str
 
 
 @dataclass(slots=True)
@@ -33,6 +46,8 @@ class SignalSums:
     missing: int = 0  # samples, from gaps in the stamps
     gaps: int = 0
     longest_gap: float = 0.0
+    pauses: list[float] = field(default_factory=list)  # [s] each
+    jumps_of_q: list[Jump] = field(default_factory=list)
     repeated: int = 0  # samples that repeat all signals in the middle of a motion
     jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample, between steps that it does
     rounded: float = 0.0  # [s] what stamps were printed to, where that is a good part of the period
@@ -80,7 +95,7 @@ class SignalSums:
             # stored as 32-bit: a smaller step than its rounding is no resolution
             self.resolution[j] = min(self.resolution[j], float(np.percentile(moved, 1)) if len(moved) else np.inf)
         h = self._clock(r)
-        self._velocity(r, h)
+        self._velocity(r, h, self._torn(r, h))
         self._plateaus(r)
         moving = np.abs(r.dq) > MOVING
         power = np.where(moving, r.tau * r.dq, 0.0)
@@ -90,20 +105,22 @@ class SignalSums:
         dt = np.diff(r.t)
         self.rounded = max(self.rounded, r.rounded)
         h = float(np.median(dt))
-        gap = dt > GAP * h
+        gap, paused = dt > GAP * h, dt >= max(PAUSE, GAP * h)
+        lost = gap & ~paused
+        self.pauses += dt[paused].tolist()
         self.period.append(h)
         if len(r.t) >= LONG:
             self.mean_period.append(float(np.mean(dt[~gap])))
         self.jitter.append(float(np.std(dt[~gap]) / h) if (~gap).any() else 0.0)
         even = self.jitter[-1] <= EVEN
-        missing = int(np.round(dt[gap] / h - 1).sum())
+        missing = int(np.round(dt[lost] / h - 1).sum())
         if not even:  # a late stamp is no lost sample: those after it come early again
-            late = float(r.t[-1] - r.t[0]) / h - len(dt) - SURE * self.jitter[-1] * np.sqrt(len(dt))
+            late = float(dt[~paused].sum()) / h - int((~paused).sum()) - SURE * self.jitter[-1] * np.sqrt(len(dt))
             missing = min(missing, max(round(late), 0))
         if missing:
-            self.gaps += int(gap.sum())
+            self.gaps += int(lost.sum())
             self.missing += missing
-            self.longest_gap = max(self.longest_gap, float(dt.max()))
+            self.longest_gap = max(self.longest_gap, float(dt[lost].max()))
         fast = np.abs(r.dq[1:]) > MOVING
         travel = np.abs(0.5 * (r.dq[1:] + r.dq[:-1]) * dt[:, None])
         expected = travel.max(axis=1)
@@ -122,15 +139,28 @@ class SignalSums:
             self.settling = max(self.settling, float(r.t[begins] - r.t[0]))
         return h
 
-    def _velocity(self, r: Recording, h: float) -> None:
+    def _torn(self, r: Recording, h: float) -> NDArray[np.bool_]:
+        """(N - 1, n) the steps of q over which it cannot be held against dq: where it jumps, and where nothing was recorded."""
+        dt = np.diff(r.t)[:, None]
+        beside = np.diff(r.q, axis=0) - 0.5 * (r.dq[1:] + r.dq[:-1]) * dt
+        silent = np.broadcast_to(dt > max(WINDOW, 2 * GAP * h), beside.shape)
+        size = np.where(dt > GAP * h, 0.0, np.abs(beside))
+        jump = size > np.maximum(JUMP, JUMPS_OUT * np.percentile(size, 95, axis=0))
+        jump &= jump.mean(axis=0) < RARE
+        self.jumps_of_q += [Jump(int(j), float(r.t[k + 1]), float(beside[k, j]), r.label) for k, j in np.argwhere(jump)]
+        return jump | silent
+
+    def _velocity(self, r: Recording, h: float, torn: NDArray[np.bool_]) -> None:
         w = max(3, round(WINDOW / h))
         if len(r.t) > 2 * w:
             integral = np.zeros_like(r.q)
             np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=integral[1:])
             a, b = r.q[w::w] - r.q[:-w:w][: len(r.q[w::w])], integral[w::w] - integral[:-w:w][: len(integral[w::w])]
+            whole = ~np.logical_or.reduceat(torn, np.arange(0, len(torn), w), axis=0)[: len(a)]
+            a, b = a * whole, b * whole
             self.windows += len(a)
             self.travel += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
-            mean = np.diff(b, axis=0) / (w * h) ** 2
+            mean = np.diff(b, axis=0) * (whole[1:] & whole[:-1]) / (w * h) ** 2
             if len(mean):
                 self.acceleration = np.maximum(self.acceleration, np.abs(mean).max(axis=0))
         dt = np.diff(r.t)[:, None]
@@ -139,12 +169,14 @@ class SignalSums:
         inner = slice(LAGS, len(r.t) - LAGS)
         smooth = np.empty_like(r.q)
         smooth[1:-1], smooth[0], smooth[-1] = central, backward[0], backward[-1]
+        # a derivative over a torn step is none; rows beside one are left out
+        sound = ~(np.r_[torn[:1], torn] | np.r_[torn, torn[-1:]])
         for k in range(-LAGS, LAGS + 1):
             shifted = r.dq[LAGS + k : len(r.t) - LAGS + k]
-            self.lagged[k + LAGS] += ((shifted - smooth[inner]) ** 2).sum(axis=0)
-        self.speed2 += (smooth[inner] ** 2).sum(axis=0)
+            self.lagged[k + LAGS] += ((shifted - smooth[inner]) ** 2 * sound[inner]).sum(axis=0)
+        self.speed2 += (smooth[inner] ** 2 * sound[inner]).sum(axis=0)
         dq = r.dq[1:-1]
-        self.difference += np.array([((dq - d) ** 2).sum(axis=0) for d in (backward[:-1], central, backward[1:])])
+        self.difference += np.array([((dq - d) ** 2 * sound[1:-1]).sum(axis=0) for d in (backward[:-1], central, backward[1:])])
 
     def _plateaus(self, r: Recording) -> None:
         for name, x in (("tau", r.tau), ("dq", r.dq), ("i", r.current)):

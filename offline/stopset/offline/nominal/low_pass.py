@@ -66,7 +66,7 @@ def _some(trials: Sequence[Recording]) -> list[Recording]:
     for r in trials:
         if r.phase != "static" and len(r.t) > 2:
             edges = np.linspace(0, len(r.t), max(1, round(float(r.t[-1] - r.t[0]) / PIECE)) + 1).astype(int)
-            pieces += [r.cut(lo, hi) for lo, hi in pairwise(edges.tolist())]
+            pieces += [r.cut(lo, hi) for lo, hi in pairwise(edges.tolist()) if hi - lo > 2]
     total = sum(float(r.t[-1] - r.t[0]) for r in pieces)
     return pieces[:: max(1, int(total / SECONDS))]
 

@@ -1,0 +1,38 @@
+"""A CSV table as tools write it: commas, semicolons or tabs, decimal points or commas, UTF-8 or UTF-16."""
+
+from __future__ import annotations
+
+import codecs
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv as pacsv
+
+LINES = 20  # looked at for how the numbers are written
+LONGEST = 1 << 20  # characters of one
+
+
+def open_csv(path: Path, is_signal: Callable[[str], bool]) -> pacsv.CSVStreamingReader:
+    """A reader of the table's batches; columns that ``is_signal`` names are doubles, whatever their first rows hold.
+
+    Raises `pyarrow.ArrowInvalid`, `OSError`, and `UnicodeDecodeError` where the text is neither UTF-8 nor UTF-16 with its mark.
+    """
+    with path.open("rb") as file:
+        mark = file.read(2)
+    encoding = "utf-16" if mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
+    with path.open(encoding=encoding) as text:
+        header, *rows = islice(iter(lambda: text.readline(LONGEST), ""), LINES)
+    separator = max(",;\t", key=header.count)  # of as many the first: a comma
+    # a comma that does not part fields is a decimal one, where there are no points
+    decimal = "," if separator != "," and any("," in r for r in rows) and not any("." in r for r in rows) else "."
+    read, parse = pacsv.ReadOptions(encoding=encoding), pacsv.ParseOptions(delimiter=separator)
+    plain = pacsv.open_csv(path, read, parse, pacsv.ConvertOptions(decimal_point=decimal))
+    # types are read off the first block: an arm that stands still in it has whole numbers, a channel that is late none
+    early = [f.name for f in plain.schema if is_signal(f.name) and (pa.types.is_integer(f.type) or pa.types.is_null(f.type))]
+    if not early:
+        return plain
+    plain.close()
+    doubles = pacsv.ConvertOptions(decimal_point=decimal, column_types=dict.fromkeys(early, pa.float64()))
+    return pacsv.open_csv(path, read, parse, doubles)
