@@ -237,10 +237,36 @@ static double runge_kutta(const StopsetState *s, StopsetWork *w, const Begin *be
     return fabs(h) * fine / sqrt((fine + 0.01 * coarse) * NY);
 }
 
-/* Who of the joints at rest begins to slide, and which way: torque with the friction of either direction decides. */
-static void settle(const StopsetState *s, StopsetWork *w, double t, double y[NY], int32_t mode[NJ]) {
-    double up[NJ], down[NJ], ddq[NJ], net[NJ];
+/* Torque on every joint with the friction of either direction where it rests [N m]: up, down. */
+typedef struct {
+    double up[NJ], down[NJ];
+} Pushes;
+
+static void push_at(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], Pushes *out) {
     int32_t trial[NJ];
+    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
+    net_torque(s, w, t, y, trial, out->up);
+    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
+    net_torque(s, w, t, y, trial, out->down);
+}
+
+/* What is left of it for a joint at rest once those that slide, `mode`, have had what they take: up it slides above zero, down below. */
+static void push_left(const StopsetState *s, StopsetWork *w, const Pushes *push, const int32_t mode[NJ], Pushes *left) {
+    double net[NJ], ddq[NJ];
+    for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? push->up[i] : push->down[i];
+    accelerate(s, w, mode, net, ddq);
+    for (int i = 0; i < NJ; i++) {
+        double coupling = 0.0;
+        for (int j = 0; j < NJ; j++)
+            if (j != i) coupling += w->M[i][j] * ddq[j];
+        left->up[i] = push->up[i] - coupling;
+        left->down[i] = push->down[i] - coupling;
+    }
+}
+
+/* Who of the joints at rest begins to slide, and in which direction: one after the other, until none changes. */
+static void settle(const StopsetState *s, StopsetWork *w, double t, double y[NY], int32_t mode[NJ]) {
+    Pushes push, left;
     int resting = 0;
     for (int i = 0; i < NJ; i++) {
         double dq = y[NJ + i];
@@ -249,25 +275,15 @@ static void settle(const StopsetState *s, StopsetWork *w, double t, double y[NY]
         resting += mode[i] == 0;
     }
     if (!resting) return;
-    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
-    net_torque(s, w, t, y, trial, up);
-    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
-    net_torque(s, w, t, y, trial, down);
+    push_at(s, w, t, y, mode, &push);
     for (int sweep = 0; sweep < 2 * NJ; sweep++) {
         int changed = 0;
-        for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? up[i] : down[i];
-        accelerate(s, w, mode, net, ddq);
-        for (int i = 0; i < NJ; i++) {
+        push_left(s, w, &push, mode, &left);
+        for (int i = 0; i < NJ && !changed; i++) {
             if (y[NJ + i] != 0.0) continue;
-            double coupling = 0.0;
-            for (int j = 0; j < NJ; j++)
-                if (j != i) coupling += w->M[i][j] * ddq[j];
-            int32_t next = up[i] - coupling > 0.0 ? 1 : down[i] - coupling < 0.0 ? -1 : 0;
-            if (next != mode[i]) {
-                mode[i] = next;
-                changed = 1;
-                break;
-            }
+            const int32_t next = left.up[i] > 0.0 ? 1 : left.down[i] < 0.0 ? -1 : 0;
+            changed = next != mode[i];
+            mode[i] = next;
         }
         if (!changed) break;
     }
@@ -292,27 +308,17 @@ static int event(const StopsetState *s, StopsetWork *w, double t, const double y
 
 /* Positive while the friction directions hold: speed of a sliding joint [rad/s], margin of a sticking one [N m]. */
 static void margins(const StopsetState *s, StopsetWork *w, double t, const double y[NY], const int32_t mode[NJ], double z[NJ]) {
-    double up[NJ], down[NJ], net[NJ], ddq[NJ];
-    int32_t trial[NJ];
+    Pushes push, left;
     int resting = 0;
     for (int i = 0; i < NJ; i++) {
         z[i] = mode[i] * y[NJ + i];
         resting += mode[i] == 0;
     }
     if (!resting) return;
-    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : 1;
-    net_torque(s, w, t, y, trial, up);
-    for (int i = 0; i < NJ; i++) trial[i] = mode[i] ? mode[i] : -1;
-    net_torque(s, w, t, y, trial, down);
-    for (int i = 0; i < NJ; i++) net[i] = mode[i] >= 0 ? up[i] : down[i];
-    accelerate(s, w, mode, net, ddq);
-    for (int i = 0; i < NJ; i++) {
-        double coupling = 0.0;
-        if (mode[i]) continue;
-        for (int j = 0; j < NJ; j++)
-            if (j != i) coupling += w->M[i][j] * ddq[j];
-        z[i] = fmin(coupling - up[i], down[i] - coupling);
-    }
+    push_at(s, w, t, y, mode, &push);
+    push_left(s, w, &push, mode, &left);
+    for (int i = 0; i < NJ; i++)
+        if (!mode[i]) z[i] = fmin(0.0 - left.up[i], left.down[i]); /* of zeros the one without a sign */
 }
 
 static void take(const StopsetState *s, double y[NY]) {
