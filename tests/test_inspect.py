@@ -13,9 +13,10 @@ import pytest
 from nominal_cases import F_C, JOINTS, RATE, Truth, arm, campaign, moving, shaken
 from stopset.cli.main import main
 from stopset.errors import RecordingError
+from stopset.offline.diagnose import diagnose
 from stopset.offline.inspect import Inspection, inspect_recordings
 from stopset.offline.inspect.gate import check_signals
-from stopset.recording import Meta, Recording, write_recordings
+from stopset.recording import Meta, Recording, Recordings, write_recordings
 from stopset.robot.rigid import torques
 
 META = Meta(joints=JOINTS, robot="three", rate_hz=RATE)
@@ -389,9 +390,10 @@ def test_a_reading_that_jumps_is_not_taken_for_swapped_columns(
     (f,) = [f for f in i.findings if f.kind == "jump"]
     assert f.joint == "shoulder" and f.value == pytest.approx(size, rel=0.02) and words in f.says
     assert f.seen.split(" at ")[1].startswith(f"{trials[moving_ones[0]].t[800]:.4g} s of ")
-    write_recordings(tmp_path / "jumped.parquet", META, one)
-    with pytest.raises(RecordingError, match="shoulder: q jumps by"):
+    with pytest.raises(RecordingError, match="make no model of this arm: shoulder: q jumps by"):
         check_signals(arm(), META, one)
+    with pytest.raises(RecordingError, match="nothing is named from these recordings: shoulder: q jumps by"):
+        diagnose(arm(), Recordings(META, tuple(one)))
 
 
 @pytest.mark.parametrize("name", ["tau", "q"])
@@ -411,7 +413,9 @@ def test_a_pause_is_no_lost_samples_and_no_swapped_columns(tmp_path: Path, trial
         return replace(r, t=r.t[keep], q=r.q[keep], dq=r.dq[keep], tau=r.tau[keep])
 
     i = look(tmp_path, broken(trials, paused), robot=False)
-    assert kinds(i) == {"pauses"} and not i.wrong, [f.says for f in i.findings]
+    assert kinds(i) == {"pauses"}, [f.says for f in i.findings]
+    with pytest.raises(RecordingError, match=r"nothing was recorded for 1.6.* s at most, .* times; .*: make two trials of it"):
+        check_signals(arm(), META, broken(trials, paused))
 
 
 def test_stamps_in_milliseconds_are_seen_though_nothing_moves(tmp_path: Path, trials: tuple[Recording, ...]) -> None:

@@ -21,6 +21,7 @@ from stopset.offline.diagnose.question import question
 from stopset.offline.diagnose.remainder import accounts_for, verdict_of
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
+from stopset.offline.inspect.gate import check_readings
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
@@ -46,8 +47,9 @@ def diagnose(
 
     ``robot``: description and data sheet, the prior of what is known; ``fitted``: effects the model already has (kept as
     nuisance, refitted); ``names``: look for these effects only; ``known``: a model from other recordings.
-    Raises `RecordingError` where no trial moves, `EffectError` for an effect that does not fit the robot.
+    Raises `RecordingError` where no trial moves or readings are none, `EffectError` for an effect that does not fit the robot.
     """
+    check_readings(robot, recordings.meta, recordings)
     if not any(moves(r) for r in recordings):
         return standing(robot, recordings, fitted)
     return answered(examine(robot, recordings, fitted, tolerance, names, known), names)
@@ -99,6 +101,7 @@ def diagnose_model(
 
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
+    check_readings(model.robot, recordings.meta, recordings)
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 

@@ -82,7 +82,7 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
     if t.pauses:
         often = f" at most, {len(t.pauses)} times" if len(t.pauses) > 1 else ""
         out.append(
-            Finding("pauses", "warning", None, f"nothing was recorded for {max(t.pauses):.3g} s{often}", "samples throughout a trial",
+            Finding("pauses", "error", None, f"nothing was recorded for {max(t.pauses):.3g} s{often}", "samples throughout a trial",
                     "nothing is known of the time between: make two trials of it", max(t.pauses))
         )  # fmt: skip
     if t.repeated > max(2, NOTABLE_GAPS * t.samples):

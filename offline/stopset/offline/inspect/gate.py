@@ -38,7 +38,7 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     _refuse(f for f in speeds if f.kind != "dq_scale")
     sound = all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds)
     pace = clock(tally, meta, dq_sound=sound)
-    _refuse(f for f in pace if f.kind == "slow_rate")
+    _refuse(f for f in pace if f.kind in ("slow_rate", "pauses"))
     beyond = torque_limits(tally, robot.joints, robot.torque_limit)
     # a wrong unit is told best by the rigid body: of motor torque when that is fitted, see `check_torque`
     found = [*pace, *speeds, *saturation(tally, robot.joints), *beyond]
@@ -48,6 +48,18 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
         _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
         _refuse(beyond)
     return _in_words(found)
+
+
+def check_readings(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> None:
+    """Angles that jump, channels that nobody recorded, columns that are swapped or in another unit. Raises `RecordingError`.
+
+    An effect that is named from such readings is a false one.
+    """
+    tally = SignalSums(robot.n)
+    for r in trials:
+        tally.add(r)
+    speeds = (f for f in velocity(tally, robot.joints, meta) if f.kind in ("dq_not_derivative", "wrong_unit"))
+    _refuse((*readings(tally, robot.joints), *speeds), "nothing is named from these recordings")
 
 
 def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> tuple[str, ...]:
@@ -89,7 +101,7 @@ def _in_words(found: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(f"inspect says ({f.severity}): {f.says}" for f in found if f.severity != "note")
 
 
-def _refuse(found: Iterable[Finding]) -> None:
+def _refuse(found: Iterable[Finding], why: str = "the recordings make no model of this arm") -> None:
     worst = next((f for f in found if f.severity == "error"), None)
     if worst is not None:
-        raise RecordingError(f"the recordings make no model of this arm: {worst.says}")
+        raise RecordingError(f"{why}: {worst.says}")
