@@ -77,7 +77,11 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
         fit = [c for c in pool if "exact" not in c.shapes or hyper.kappa[c.joints[0]] > limit.FAR_OVER_NOISE]
         left = scores(now, fit, hyper)
-        open_ones = [s for s in left if s.candidate.key not in refused and not said_already(now, s.candidate)]
+        # a law whose numbers came out beyond what they can be is no finding, and says nothing that another form would
+        beyond = {k.scored.candidate.key for k in _as_fitted(now, claims, p.theta) if not k.scored.admissible}
+        sound = tuple(c for c in now.active if c.key not in beyond)
+        taken = refused | {c.key for c in now.active}
+        open_ones = [s for s in left if s.candidate.key not in taken and not said_already(sound, s.candidate)]
         best = refined(now, open_ones, hyper)
         best = [s for s in best if s.score >= limit.THRESHOLD]
         claimed = [c for c in now.active if c.key in {x.scored.candidate.key for x in claims}]
@@ -88,7 +92,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         if not best:
             break
         earlier, (top, rivals) = now, settle(now, best, hyper)
-        plainer = next((c for c in claimed if refines(top.candidate, c)), None)
+        plainer = next((c for c in claimed if c.key not in beyond and refines(top.candidate, c)), None)
         if plainer is not None:
             top, rivals = instead(now, plainer, top, hyper), ()
         now, hyper, p, candidate = top.now, top.hyper, top.fit, top.candidate

@@ -47,15 +47,15 @@ def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settl
     likeliest = max(settled, key=lambda x: x.evidence)
     asked = {x.candidate.key for x in settled}
     plainer = _plainer(now, likeliest, hyper)
-    settled += [x for x in plainer if x.candidate.key not in asked and not said_already(now, x.candidate)]
+    settled += [x for x in plainer if x.candidate.key not in asked and not said_already(now.active, x.candidate)]
     alike = [x for x in settled if _simplifies(x.candidate, likeliest.candidate)]
     enough = [x for x in alike if x.mended > likeliest.evidence - limit.THRESHOLD]
     top = min(enough, key=lambda x: (_size(x.candidate), -x.mended), default=likeliest)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
 
 
-def said_already(now: Hypothesis, c: Candidate) -> bool:
-    """Whether a law that ``now`` has at the same joints says what ``c`` would: the same one, or another form of the same plainer law.
+def said_already(active: Sequence[Candidate], c: Candidate) -> bool:
+    """Whether a law that is ``active`` at the same joints says what ``c`` would: the same one, or another form of the same plainer law.
 
     What the form of a balancing spring leaves looks like a spring, and is no second one; a finer form may still replace a plainer one.
     """
@@ -63,7 +63,7 @@ def said_already(now: Hypothesis, c: Candidate) -> bool:
     def forms(x: Candidate) -> set[str]:
         return {x.effect.name, *x.effect.refines}
 
-    return any(a.joints == c.joints and not refines(c, a) and bool(forms(a) & forms(c)) for a in now.active)
+    return any(a.joints == c.joints and not refines(c, a) and bool(forms(a) & forms(c)) for a in active)
 
 
 def refines(finer: Candidate, plainer: Candidate) -> bool:
