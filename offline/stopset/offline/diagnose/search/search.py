@@ -33,7 +33,6 @@ class Claim:
     rivals: tuple[Scored, ...]
     excess_before: tuple[float, ...]  # residual variance over sensor noise per joint, before the claim
     excess_after: tuple[float, ...]
-    finer: bool = False  # it took the place of a plainer law that had been claimed, and left too much
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -112,7 +111,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         replaced = next((k for k in claims if plainer is not None and k.scored.candidate.key == plainer.key), None)
         since = excess if replaced is None else replaced.excess_before
         claims = [k for k in claims if k is not replaced]
-        claims.append(Claim(top.scored, top.scored.score, rivals, since, after, finer=replaced is not None))
+        claims.append(Claim(top.scored, top.scored.score, rivals, since, after))
         where = "+".join(engine.data.joints[j] for j in candidate.joints) or "the whole arm"
         progress(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
@@ -157,7 +156,7 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
 
 def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothesis, Claim]:
     """A narrow decision between contenders taken again, now that all the other causes are known."""
-    if claim.scored.candidate.effect.role == "swing" or claim.finer:
+    if claim.scored.candidate.effect.role == "swing":
         return now, claim
     key = claim.scored.candidate.key
     top, rivals = settle(now.without(key), [claim.scored, *claim.rivals], hyper)
