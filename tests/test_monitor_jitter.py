@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 
 import numpy as np
 import pytest
@@ -49,13 +50,14 @@ def truly_late(seed: int, samples: int, off: Array) -> Recording:
     return Recording("open_loop", 0, 0, 0, t, z[:, :n], z[:, n:], u)
 
 
-def verdicts(r: Recording, off: Array) -> Counter[Conformance]:
+def verdicts(r: Recording, off: Array, lost: Collection[int] = ()) -> Counter[Conformance]:
     model = known_model()
     source, watch, out = JointStateSource(model.joints, DT, backlog=len(r.t)), Watch(model), Counter[Conformance]()
     for k in range(len(r.t)):
         stamp = START + round((DT * k + off[k]) * 1e9)
         row = (tuple(x[k].tolist()) for x in (r.q, r.dq, r.tau))
-        source.take("", to_json(JointState(stamp, model.joints, *row)))
+        if k not in lost:
+            source.take("", to_json(JointState(stamp, model.joints, *row)))
     for _ in r.t:
         sample = source.next(0.0)
         if sample is not None:
@@ -71,6 +73,22 @@ def test_a_good_arm_with_jittered_stamps_is_neither_accused_nor_unknown(seed: in
     said = verdicts(r, off)
     assert not said[Conformance.VIOLATION] and not said[Conformance.FAULT], said
     assert said[Conformance.UNKNOWN] <= 2 * SETTLE, said  # the places are found, and two stamps out of order
+
+
+@pytest.mark.parametrize("real", [True, False], ids=["read late", "stamped late"])
+@pytest.mark.parametrize(("sigma", "losses", "unknown"), [(SIGMA, 0, 0.05), (0.5 * SIGMA, 10, 0.2)])
+def test_neither_stamps_out_of_order_nor_lost_messages_accuse_a_good_arm(
+    real: bool, sigma: float, losses: int, unknown: float
+) -> None:
+    """Ten seconds each: one stamp in 400 comes before its predecessor, one in 700 is nearer to another cycle, and cycles' places wander."""
+    samples, said = 2500, Counter[Conformance]()
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        off = rng.normal(0.0, sigma, samples)
+        lost = rng.integers(50, samples, losses).tolist()
+        said += verdicts(truly_late(seed, samples, off if real else np.zeros(samples)), off, lost)
+    assert not said[Conformance.VIOLATION] and not said[Conformance.FAULT], said
+    assert said[Conformance.CONFORMANT] > (1.0 - unknown) * 4 * samples, said
 
 
 def test_an_altered_arm_is_found_in_spite_of_jitter() -> None:
@@ -95,7 +113,9 @@ def test_cycles_are_counted_through_jitter_loss_and_a_slow_clock() -> None:
         if k in lost:
             continue
         off = float(np.clip(rng.normal(0.0, 0.3e-3), -1e-3, 1e-3))
-        whole, away = cycles.step(START + round((DT * k * (1 + 2e-5) + off) * 1e9))
+        found = cycles.step(START + round((DT * k * (1 + 2e-5) + off) * 1e9))
+        assert found is not None
+        whole, away = found
         counted += whole
         assert abs(away) < 2e-3
     assert counted == 999 - SETTLE + 1, "all but those that the places were found from"

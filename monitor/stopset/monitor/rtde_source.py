@@ -111,7 +111,11 @@ class RtdeSource:
             self._k += GAP
         drifted = self._shift + LEAK * max(0.0, came - self._shifted)
         self._shift, self._shifted = min(drifted, came - stamp), came
-        whole, off = self._cycles.step(round(stamp * 1e9))
+        found = self._cycles.step(round(stamp * 1e9))
+        if found is None:
+            self._said.append("a package's time lies far from its cycle, or one was lost: left out")
+            return None
+        whole, off = found
         whole = whole or GAP
         self.missed += max(whole - 1, 0) if whole != GAP else 1
         self._k += whole
@@ -122,7 +126,7 @@ class RtdeSource:
         fault = "" if status in NORMAL else f"the controller's safety status is {status}; expected normal (1) or reduced (2)"
         return Sample(
             self._k, stamp + self._shift, np.array(row["actual_q"]), np.array(row["actual_qd"]), tau,
-            np.array(row["joint_temperatures"]), mode == RUNNING, fault, off=off,
+            np.array(row["joint_temperatures"]), mode == RUNNING, fault, off=off, place_error=self._cycles.place_error,
         )  # fmt: skip
 
     def counters(self) -> dict[str, int]:

@@ -14,7 +14,8 @@ class Sample:
     """One reading of the arm: ``q, dq`` (n,) [rad, rad/s], ``tau`` (n,) [N m] or None, ``temp`` (n,) [degC] or None.
 
     ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
-    ``t``: sampling instant [s], ``off``: how far behind the place of its cycle that stamp lies [s]; ``powered``: the drives
+    ``t``: sampling instant [s], ``off``: how far behind the place of its cycle that stamp lies [s],
+    ``place_error``: how far off that place may be; ``powered``: the drives
     hold torque (else no verdict: another regime); ``fault``: what the drives themselves say against it, empty if nothing,
     and ``bad_nodes``: bit i set = joint i's.
     """
@@ -29,6 +30,7 @@ class Sample:
     fault: str = ""
     bad_nodes: int = 0
     off: float = 0.0
+    place_error: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

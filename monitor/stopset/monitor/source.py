@@ -259,8 +259,13 @@ class JointStateSource:
         index = [place[j] for j in self.joints]
         later = self.cycle_s if self._stamp is None else (s.stamp_ns - self._stamp) * 1e-9
         if -SWAPPED < later <= 0.0:
+            if later:
+                self._cycles.leave_out()
             raise BusError("joint_states came twice or out of order; the later one counts: look at the sender")
-        whole, off = self._cycles.step(s.stamp_ns)
+        found = self._cycles.step(s.stamp_ns)
+        if found is None:
+            raise BusError("a joint_states stamp lies far from its cycle, or one was lost: left out; look at the sender's clock")
+        whole, off = found
         whole = whole or GAP
         self.missed += max(whole - 1, 0) if whole != GAP else 1
         self._k += whole
@@ -270,7 +275,9 @@ class JointStateSource:
             return np.array([x[i] for i in index])
 
         tau = row(s.effort) if s.effort else None  # without it there is no verdict, but there are stop bounds
-        return Sample(self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), tau, off=off)
+        return Sample(
+            self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), tau, off=off, place_error=self._cycles.place_error
+        )
 
     def counters(self) -> dict[str, int]:
         return {

@@ -142,7 +142,7 @@ class Watch(Check):
         x, slack = self._here[:2].ravel(), np.zeros(2 * n) if self._loose else self._slack
         known, beyond = bool(c.known) and not gap, self._outside(s)
         if s.off != 0.0:
-            x, slack, more = self._motion.onto_grid(s.q, s.dq, self._u[0], self._u[int(known)], s.off)
+            x, slack, more = self._motion.onto_grid(s, self._u[0], self._u[int(known)])
             self._du[0] += more
         self._loosen(slack)
         c.seen[1] = 0
