@@ -47,6 +47,21 @@ def test_the_worst_excess_is_the_one_found_by_brute_force(planar, tmp_path: Path
     assert violation.state == [f"{s}_{j}" for s in ("q", "dq") for j in JOINTS][where[2]]
 
 
+def test_readings_that_are_none_are_not_held_against_the_model(
+    planar, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, trials, found = planar
+    q = trials[3].q.copy()
+    q[40, 1] += 1.0
+    data = save_trials(tmp_path / "a.parquet", [dataclasses.replace(trials[3], q=q)], JOINTS)
+    seen = compare(found.model, [data])
+    said = verdict(seen)
+    assert seen.violations and said.text.startswith(f"Not comparable: {JOINTS[1]}: q jumps by 1 rad at {trials[3].t[40]:.4g} s")
+    assert "diagnose" not in said.next and not compare(found.model, [folder / "rec.parquet"]).unsound
+    assert main(["compare", str(folder / "m.model.json"), "--data", str(data), "--quiet"]) == 1
+    assert "mend the recordings first" in capsys.readouterr().out
+
+
 def test_open_loop_errors_are_those_of_the_prediction(planar) -> None:
     folder, trials, found = planar
     figures = compare(found.model, [folder / "rec.parquet"]).figures

@@ -24,6 +24,11 @@ def repository(tmp_path: Path) -> Path:
     for name in ("CHANGELOG.md", "pyproject.toml", "CITATION.cff", ".ci/tag"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
+    log = tmp_path / "CHANGELOG.md"  # of a tree that was tagged just now nothing is left to tell
+    log.write_text(
+        log.read_text(encoding="utf-8").replace("## Unreleased\n", "## Unreleased\n\n### Safety\n- A bound.\n", 1),
+        encoding="utf-8",
+    )
     for words in (("init", "-q"), ("add", "-A"), ("commit", "-q", "-m", "begun")):
         assert ran(tmp_path, "git", *words).returncode == 0
     return tmp_path

@@ -62,7 +62,7 @@ def _over(model: Model, found: Comparison) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare; exit code 1 when a recording leaves the sets."""
+    """Compare; exit code 1 when a recording leaves the sets, or its readings are none."""
     from stopset.offline.compare.compare import answer, compare
     from stopset.offline.compare.verdict import by_failure, verdict
     from stopset.offline.conform.tightness import table
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     said = verdict(found)
     say(said.text)
     say(f"what next: {said.next}")
-    for sentence in found.said:
+    for sentence in (*found.said, *found.unsound[1:]):
         say(sentence)
     say(_over(model, found))
     say(f"{'joint':<22}{'torque':>9}{'in full':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")
@@ -106,4 +106,4 @@ def run(args: argparse.Namespace) -> int:
         say(f"report {args.report}")
     if args.mcap:
         _export(model, found, args)
-    return 1 if found.violations else 0
+    return 1 if found.violations or found.unsound else 0

@@ -23,6 +23,7 @@ from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.conform.tightness import Along, Tightness, of_tube
+from stopset.offline.inspect.gate import unsound
 from stopset.offline.nominal.low_pass import recorded_low_pass
 from stopset.progress import Progress, silent
 from stopset.reach.flowpipe import DeviationTube, deviation_tube
@@ -74,6 +75,7 @@ class Comparison:
     tightness: Tightness
     bands: dict[str, tuple[int, int]] = field(default_factory=dict)  # temperature band -> recordings in it, those that leave it
     said: tuple[str, ...] = ()  # sentences: what the monitors that wrote these files took their violations for
+    unsound: tuple[str, ...] = ()  # sentences: readings that are none, see `stopset inspect`
 
     @property
     def violations(self) -> tuple[Violation, ...]:
@@ -117,7 +119,8 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
 
     Raises `RecordingError` if the recordings do not belong to the model's robot or hold another kind of torque.
     """
-    said = tuple(sentence for meta in check_effort(model, paths) for sentence in meta.causes)
+    metas = check_effort(model, paths)
+    said = tuple(sentence for meta in metas for sentence in meta.causes)
     trials = ReadOnce(partial(stream_recordings, tuple(paths), model.robot))
     found = survey(trials)
     dt = model.powered.dt
@@ -148,7 +151,8 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
     known = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) if sum(map(len, left)) else None
     for k, j in enumerate(model.joints):
         by_joint[j]["torque_rmse_known"] = None if known is None else float(known[k])
-    return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands, said)
+    wrong = tuple(f.says for f in unsound(model.robot, metas[0], trials()))
+    return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands, said, wrong)
 
 
 def _known(model: Model, r: Recording, u: Array, cutoff: float) -> list[Array]:
@@ -270,6 +274,7 @@ def answer(model: Model, found: Comparison) -> dict[str, Any]:
         "violations": len(found.violations),
         "outside_domain": found.outside_domain,
         "said": list(found.said),
+        "unsound": list(found.unsound),
         "sets": {
             j: {
                 "U": [float(s.U.lo[k]), float(s.U.hi[k])],

@@ -33,6 +33,10 @@ def verdict(found: Comparison) -> ComparisonVerdict:
     """
     count, out, beyond = len(found.rows), len(found.violations), found.outside_domain
     where, healthy = _worst(found)
+    if found.unsound:
+        return ComparisonVerdict(
+            f"Not comparable: {found.unsound[0]}.", "bad", "mend the recordings first; the model may be right."
+        )
     if beyond == count and not out:
         return ComparisonVerdict(
             f"Not covered: all {count} recordings leave the model's domain, where it promises nothing.", "bad",

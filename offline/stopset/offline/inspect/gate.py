@@ -50,16 +50,18 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     return _in_words(found)
 
 
-def check_readings(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> None:
-    """Angles that jump, channels that nobody recorded, columns that are swapped or in another unit. Raises `RecordingError`.
-
-    An effect that is named from such readings is a false one.
-    """
+def unsound(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[Finding]:
+    """Angles that jump, channels that nobody recorded, columns that are swapped or in another unit."""
     tally = SignalSums(robot.n)
     for r in trials:
         tally.add(r)
-    speeds = (f for f in velocity(tally, robot.joints, meta) if f.kind in ("dq_not_derivative", "wrong_unit"))
-    _refuse((*readings(tally, robot.joints), *speeds), "nothing is named from these recordings")
+    speeds = [f for f in velocity(tally, robot.joints, meta) if f.kind in ("dq_not_derivative", "wrong_unit")]
+    return [f for f in (*readings(tally, robot.joints), *speeds) if f.severity == "error"]
+
+
+def check_readings(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> None:
+    """An effect that is named from what is `unsound` is a false one. Raises `RecordingError`."""
+    _refuse(unsound(robot, meta, trials), "nothing is named from these recordings")
 
 
 def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> tuple[str, ...]:
