@@ -435,13 +435,27 @@ def test_the_worst_known_decides_the_state() -> None:
     assert not believable(*decide(outside)[:2]), "no stop number outside the domain"
 
 
+@pytest.mark.parametrize("by", [0.05, -0.05])
+def test_after_its_clock_was_set_ok_is_not_said_at_once(by: float) -> None:
+    """A consumer who gets the first message late by as much would take its data for new; a clock brought nearer slowly changes nothing."""
+    r, now = Recovery(OkConditions(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25)), 0.0
+    for k in range(100):
+        now = 0.01 * k
+        slewed = 500e-6 * now
+        reported = r.hold(State.OK, "", now, (slewed - 1e-3, slewed + 1e-3))
+    assert reported[0] is State.OK
+    after = [r.hold(State.OK, "", now + 0.01 * k, (by - 1e-3, by + 1e-3)) for k in range(1, 30)]
+    assert [t[0] for t in after] == [State.UNKNOWN] * 25 + [State.OK] * 4
+    assert after[0][1] == Flag.RECOVERING and "the clock was set by 4" in after[0][2]
+
+
 def test_ok_comes_back_after_unbroken_good_cycles_and_worse_news_at_once() -> None:
     r = Recovery(OkConditions(valid_for=0.03, ahead=0.004, evidence=0.1, recover=0.25))
     reported: list[tuple[State, int, str]] = []
 
     def turns(count: int, state: State, start: float) -> float:
         reported.clear()
-        reported.extend(r.hold(state, f"why {state.name}", start + 0.01 * k) for k in range(count))
+        reported.extend(r.hold(state, f"why {state.name}", start + 0.01 * k, (-1.0, -1.0)) for k in range(count))
         return start + 0.01 * count
 
     now = turns(30, State.OK, 0.0)

@@ -201,14 +201,16 @@ class Daemon:
         s, now = self.sample, self.clock.monotonic()
         numbers, fresh = self.desk.now(s.q, s.dq) if s is not None else ({}, False)
         since = now - self._arrived
-        age = self.clock.time_ns() * 1e-9 - s.t if s is not None else float("inf")
+        stamped = self.clock.time_ns() * 1e-9
+        ahead = stamped - self.clock.monotonic(), stamped - now
+        age = stamped - s.t if s is not None else float("inf")
         stale = since > self.config.publish.stale_ms * 1e-3
         situation = Situation(
             s is not None, self._fault, stale, self._late_in_a_row >= LATE, self.latch.record.why, age, since, s, self.verdict,
             fresh, numbers,
         )  # fmt: skip
         state, flags, why = decide(situation, self.limits)
-        state, held, why = self.recovery.hold(state, why, now)
+        state, held, why = self.recovery.hold(state, why, now, ahead)
         flags |= held
         if not believable(state, flags):
             flags |= FALLBACK_IN_FORCE

@@ -20,6 +20,7 @@ _LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NO
     )
 )  # fmt: skip
 _DOUBTFUL = _OUTSIDE | _STALE | _NODE
+SLEWED = 1e-3  # [s] from one turn to the next: more was set, not brought nearer
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,23 +118,31 @@ class Recovery:
     """Better news must last before it is told, worse news is told at once: OK and DEGRADED come back only after good cycles
     without a break for ``limits.recover``, so that a state on the edge does not flicker.
 
-    A turn of the loop later than ``limits.valid_for`` after the one before is a break: nobody watched meanwhile.
+    A turn of the loop later than ``limits.valid_for`` after the one before is a break: nobody watched meanwhile. So is a clock that
+    was set: a consumer takes data for as old as their stamps say, until a message that came in time shows it that they lie.
     """
 
     limits: OkConditions
     _turn: float = float("-inf")
+    _ahead: tuple[float, float] = (float("-inf"), float("inf"))
     _bad: float = float("-inf")  # when the state was last neither OK nor DEGRADED
     _degraded: float = float("-inf")
     _why_bad: str = "the start"
     _why_degraded: str = ""
 
-    def hold(self, state: State, why: str, now: float) -> tuple[State, int, str]:
-        """The state to tell at ``now`` [s], the flag that it is held back, and the sentence."""
+    def hold(self, state: State, why: str, now: float, ahead: tuple[float, float]) -> tuple[State, int, str]:
+        """The state to tell at ``now`` [s], the flag that it is held back, and the sentence.
+
+        ``ahead``: by how much [s] the clock that stamps is ahead of the one of ``now``, at least and at most.
+        """
         if now - self._turn > self.limits.valid_for:
             self._bad = now
             if self._turn > float("-inf"):
                 self._why_bad = f"the monitor itself stood still for {(now - self._turn) * 1e3:.0f} ms"
-        self._turn = now
+        moved = max(ahead[0] - self._ahead[1], self._ahead[0] - ahead[1])
+        if moved > SLEWED:
+            self._bad, self._why_bad = now, f"the clock was set by {moved * 1e3:.0f} ms or more"
+        self._turn, self._ahead = now, ahead
         if state is not State.OK and state is not State.DEGRADED:
             self._bad, self._why_bad = now, why
             return state, 0, why
