@@ -189,7 +189,8 @@ def test_csv_is_read_as_tools_write_it(
     trials: list[Recording], tmp_path: Path, separator: str, decimal: str, encoding: str
 ) -> None:
     text = as_found(trials, tmp_path / "a.csv")
-    other = text.replace(",", separator).replace(".", decimal)
+    header, rows = text.split("\n", 1)
+    other = "# made by hand\n" + header.replace(",", f"{separator} ") + "\n" + rows.replace(",", separator).replace(".", decimal)
     (tmp_path / "b.csv").write_bytes(other.replace("\n", "\r\n").encode(encoding))
     for a, b in zip(read_recordings(tmp_path / "a.csv"), read_recordings(tmp_path / "b.csv"), strict=True):
         same(a, b)

@@ -1,8 +1,9 @@
-"""A CSV table as tools write it: commas, semicolons or tabs, decimal points or commas, UTF-8 or UTF-16."""
+"""A CSV table as tools write it: commas, semicolons or tabs, decimal points or commas, UTF-8 or UTF-16, remarks before its header."""
 
 from __future__ import annotations
 
 import codecs
+import csv
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -22,12 +23,16 @@ def open_csv(path: Path, is_signal: Callable[[str], bool]) -> pacsv.CSVStreaming
     with path.open("rb") as file:
         mark = file.read(2)
     encoding = "utf-16" if mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
-    with path.open(encoding=encoding) as text:
-        header, *rows = islice(iter(lambda: text.readline(LONGEST), ""), LINES)
+    with path.open(encoding="utf-8-sig" if encoding == "utf-8" else encoding) as text:
+        lines = list(islice(iter(lambda: text.readline(LONGEST), ""), LINES))
+    remarks = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
+    header, *rows = lines[remarks:]
     separator = max(",;\t", key=header.count)  # of as many the first: a comma
     # a comma that does not part fields is a decimal one, where there are no points
     decimal = "," if separator != "," and any("," in r for r in rows) and not any("." in r for r in rows) else "."
-    read, parse = pacsv.ReadOptions(encoding=encoding), pacsv.ParseOptions(delimiter=separator)
+    names = [name.strip() for name in next(csv.reader([header], delimiter=separator, skipinitialspace=True), [])]
+    read = pacsv.ReadOptions(encoding=encoding, skip_rows=remarks + 1, column_names=names)
+    parse = pacsv.ParseOptions(delimiter=separator)
     plain = pacsv.open_csv(path, read, parse, pacsv.ConvertOptions(decimal_point=decimal))
     # types are read off the first block: an arm that stands still in it has whole numbers, a channel that is late none
     early = [f.name for f in plain.schema if is_signal(f.name) and (pa.types.is_integer(f.type) or pa.types.is_null(f.type))]
