@@ -50,8 +50,8 @@ class Hall:
         return load_model(self.folder / f"{name}.json").sha256
 
 
-def cells(stack: contextlib.ExitStack, folder: Path, connect: str, arms: tuple[str, ...], model: str, recording: str) -> None:
-    """A router, and for every arm a monitor with the signed ``model`` in a folder named as its cell, and the arm, moving as recorded; all OK."""
+def cells(stack: contextlib.ExitStack, folder: Path, connect: str, arms: tuple[str, ...], model: str, recording: str) -> Fleet:
+    """A router, and for every arm a monitor with the signed ``model`` in a folder named as its cell, and the arm, moving as recorded."""
     router = ZenohLink(mode="router", listen=[connect])
     stack.callback(router.close)
     for arm in arms:
@@ -71,7 +71,7 @@ def cells(stack: contextlib.ExitStack, folder: Path, connect: str, arms: tuple[s
         stack.enter_context(running("replay", str(folder / recording), *to))
     fleet = Fleet()
     router.subscribe("*/*/*/stopset/state/json", fleet.take_json)
-    assert wait(lambda: [r["word"] for r in fleet.rows()] == ["OK"] * len(arms), 60.0), fleet.rows()
+    return fleet
 
 
 @pytest.fixture
@@ -88,7 +88,8 @@ def hall(tmp_path: Path) -> Iterator[Hall]:
     (tmp_path / "deliver.sh").write_text(DELIVER)
     (tmp_path / "deliver.sh").chmod(0o755)
     with contextlib.ExitStack() as stack:
-        cells(stack, tmp_path, connect, ARMS, "old.json", "motion.parquet")
+        fleet = cells(stack, tmp_path, connect, ARMS, "old.json", "motion.parquet")
+        assert wait(lambda: [r["word"] for r in fleet.rows()] == ["OK", "OK"], 60.0), fleet.rows()
         yield Hall(tmp_path, connect)
 
 
