@@ -40,7 +40,7 @@ LEFT_OUT = (
     ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
     ("stopset.artifact.store", "FORMAT FIRST_SCHEMA LAGS ARM", FORMAT),
-    ("stopset.artifact.contents", "MOST_STEPS MOST_NUMBERS CORNER_SPEED", REFUSED),
+    ("stopset.artifact.contents", "MOST_STEPS MOST_NUMBERS LARGEST SLOWEST CORNER_SPEED", REFUSED),
     ("stopset.artifact.polynomial", "MOST_POWER", REFUSED),
     ("stopset.artifact.taped", "SIGNALS TILT TIP MEMORY RIGID", CODES),
     ("stopset.effects.bound", "ACTING", ROLES),

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from stopset.artifact.model import Model, UncertaintySets
+from stopset.artifact.model import Brakes, Model, UncertaintySets
 from stopset.artifact.polynomial import MOST_POWER, Polynomial
 from stopset.core.library import lib
 from stopset.errors import ModelFileError
-from stopset.sets import Box
 
 MOST_STEPS = 100_000  # of a horizon; of one joint's integration over a horizon, its steps cut into parts
 MOST_NUMBERS = 50_000_000  # of the tables that a tube is made of
+LARGEST = 1e12  # [SI] of any number: products of some of them are numbers too
+SLOWEST = 10.0  # [s] until a brake holds: beyond, a unit was mistaken
 CORNER_SPEED = 2.0  # [rad/s] by which a corner of a set may be faster than what was recorded
 
 
@@ -43,7 +44,7 @@ def _fits(sets: UncertaintySets, n: int) -> bool:
 
 def _of(polynomials: tuple[Polynomial, ...], variables: int) -> bool:
     """Whether they are polynomials in so many variables, of powers that there are."""
-    shapes = all(p.exponent.shape == (len(p.coefficient), variables) and p.coefficient.ndim == 1 for p in polynomials)
+    shapes = all(p.coefficient.ndim == 1 and p.exponent.shape == (len(p.coefficient), variables) for p in polynomials)
     return shapes and all(bool(np.all((p.exponent >= 0) & (p.exponent <= MOST_POWER))) for p in polynomials)
 
 
@@ -53,6 +54,7 @@ def _misshapen(m: Model) -> list[str]:
         name
         for name, ok in (
             ("rotor", m.rotor.shape == (n,)),
+            ("robot.gravity", m.robot.chain.gravity.shape == (3,)),
             ("abstraction.kind", a.kind in (1, 2, 3)),
             ("abstraction.Minv", a.Minv.shape == (n, n)),
             ("abstraction.viscous", a.viscous.ndim == 2 and len(a.viscous) == n and a.viscous.size > 0),
@@ -74,24 +76,33 @@ def _misshapen(m: Model) -> list[str]:
 
 def _no_numbers(m: Model) -> list[str]:
     """A tube with a hole where a number is missing would hold nothing against a sample."""
-    a, chain = m.abstraction, m.robot.chain
+    a, chain, d = m.abstraction, m.robot.chain, m.domain
     numbers = {
-        "rotor": m.rotor, "robot.pi": m.robot.pi, "robot.arm.R": chain.R, "robot.arm.p": chain.p, "robot.arm.axis": chain.axis,
-        "robot.arm.tip": m.robot.tip, "abstraction.Minv": a.Minv, "abstraction.viscous": a.viscous, "abstraction.offset": a.offset,
-        "abstraction.standstill": a.standstill, "domain.payload": np.array(m.domain.payload),
+        "rotor": m.rotor, "robot.pi": m.robot.pi, "robot.gravity": chain.gravity, "robot.arm.R": chain.R, "robot.arm.p": chain.p,
+        "robot.arm.axis": chain.axis, "robot.arm.tip": m.robot.tip, "abstraction.Minv": a.Minv, "abstraction.viscous": a.viscous,
+        "abstraction.offset": a.offset, "abstraction.standstill": a.standstill, "domain.payload": np.array(d.payload),
+        **{f"effects {f.label}": np.array(list(f.values.values())) for f in m.effects},
+        **{f"abstraction.coriolis[{i}]": p.coefficient for i, p in enumerate(a.coriolis)},
+        **{f"abstraction.acceleration[{i}]": p.coefficient for i, p in enumerate(a.acceleration)},
     }  # fmt: skip
-    numbers |= {f"abstraction.coriolis[{i}]": p.coefficient for i, p in enumerate(a.coriolis)}
-    numbers |= {f"abstraction.acceleration[{i}]": p.coefficient for i, p in enumerate(a.acceleration)}
-    wrong = [name for name, x in numbers.items() if not np.isfinite(x).all()]
+    boxes = {f"sets.{k}.{name}": x for k, s in m.sets.items() for name, x in (("X0", s.X0), ("U", s.U), ("V", s.V))}
+    boxes |= {f"domain.{name}": x for name, x in (("q", d.q), ("dq", d.dq), ("temp", d.temp)) if x is not None}
+    numbers |= {name: np.concatenate([x.lo, x.hi]) for name, x in boxes.items()}
+    wrong = [name for name, x in numbers.items() if not bool(np.all(np.abs(x) <= LARGEST))]
     limits = {"robot.arm.q_limit": m.robot.q_limit, "robot.arm.dq_limit": m.robot.dq_limit}  # infinite where there is none
     wrong += [name for name, x in limits.items() if np.isnan(x).any()]
-    wrong += [f"effects {f.label}" for f in m.effects if not all(math.isfinite(x) for x in f.values.values())]
-    if m.brakes is not None:
-        b = m.brakes
-        lags = Box.point(np.zeros(0) if b.lag is None else b.lag)
-        brakes = {"torque": b.torque, "delay": b.delay, "rise": b.rise, "lag": lags}
-        wrong += [f"brakes.{name}" for name, x in brakes.items() if not bool(np.all((x.lo >= 0.0) & (x.hi < math.inf)))]
+    wrong += [f"brakes.{name}" for name in _bad_brakes(m.brakes)] if m.brakes is not None else []
     return wrong + [f"sets.{k}" for k, s in m.sets.items() if not (0.0 < s.dt <= s.horizon <= MOST_STEPS * s.dt < math.inf)]
+
+
+def _bad_brakes(b: Brakes) -> list[str]:
+    """What of them would begin before the order, or never end."""
+    most = {"torque": (b.torque, LARGEST), "delay": (b.delay, SLOWEST), "rise": (b.rise, SLOWEST)}
+    times = {"lag": b.lag, "apart": b.delay_spread}
+    wrong = [name for name, (x, end) in most.items() if not bool(np.all((x.lo >= 0.0) & (x.hi <= end)))]
+    return wrong + [
+        k for k, x in times.items() if x is not None and not bool(np.all((np.asarray(x) >= 0.0) & (np.asarray(x) <= SLOWEST)))
+    ]
 
 
 def _check_work(m: Model, path: Path) -> None:
