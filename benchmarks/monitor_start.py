@@ -107,12 +107,13 @@ def megabytes(pid: int) -> tuple[int, int]:
     return int(found["VmHWM"]) // 1000, min(int(found["VmLck"]), int(found["VmHWM"])) // 1000
 
 
-Found = tuple[float, tuple[int, int], float, float, float]
+Found = tuple[float, tuple[int, int], float, float, float, float]
 
 
 def first_ok(model: Path, recording: Path, ready: Callable[[], object], *, lock: bool, cold: bool) -> Found:
     """[s] from the start of the monitor's process, when ``ready`` comes back, to the first OK heard, infinite if none comes; its memory
-    then, what it read from the disk [MB], its processor time [s], and that of the process it has bound stops [s]."""
+    then, what it read from the disk [MB], its processor time [s], that of the process it has bound stops [s],
+    and meanwhile of the replay [s]."""
     bus, port = free_port(), free_port()
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "monitor.toml"
@@ -123,7 +124,7 @@ def first_ok(model: Path, recording: Path, ready: Callable[[], object], *, lock:
             if not heard and unpack(data)["state"] == State.OK:
                 heard.append(time.monotonic())
 
-        with running("replay", str(recording), "--to", f"hub:{bus}", "--wait", "1"):
+        with running("replay", str(recording), "--to", f"hub:{bus}", "--wait", "1") as replay:
             time.sleep(2.0)  # the bus is there before the monitor, as in a cell
             more = {}
             if cold:
@@ -131,7 +132,7 @@ def first_ok(model: Path, recording: Path, ready: Callable[[], object], *, lock:
                 forgotten(packages)
                 more = {"PYTHONPATH": str(packages)}
             ready()
-            begin, link = time.monotonic(), None
+            begin, link, before = time.monotonic(), None, cpu_of(replay.pid)
             with running("monitor", "--config", str(config), **more) as monitor:
                 while not heard and time.monotonic() - begin < PATIENCE:
                     if link is None:
@@ -142,10 +143,10 @@ def first_ok(model: Path, recording: Path, ready: Callable[[], object], *, lock:
                             link = None
                     time.sleep(0.005)
                 memory, read, cpu = megabytes(monitor.pid), from_disk(monitor.pid), cpu_of(monitor.pid)
-                bounding = sum(map(cpu_of, children(monitor.pid)))
+                bounding, playing = sum(map(cpu_of, children(monitor.pid))), cpu_of(replay.pid) - before
                 if link is not None:
                     link.close()
-    return heard[0] - begin if heard else float("inf"), memory, read, cpu, bounding
+    return heard[0] - begin if heard else float("inf"), memory, read, cpu, bounding, playing
 
 
 def together(n: int, model: Path, recording: Path, *, lock: bool, cold: bool) -> list[Found]:
@@ -169,11 +170,12 @@ def main() -> None:
     found = sorted(each for several in started for each in several)
     took = [seconds for seconds, *_ in found]
     most, locked = max(memory for _, memory, *_ in found)
-    reads, cpu, bounding = ([each[k] for each in found] for k in (2, 3, 4))
+    reads, cpu, bounding, playing = ([each[k] for each in found] for k in (2, 3, 4, 5))
     print(f"memory {most} MB at most, {locked} MB of it locked")
     print(
         f"the process read {min(reads):.0f} to {max(reads):.0f} MB from the disk and took {min(cpu):.2f} to {max(cpu):.2f} s of processor time, "
-        f"what bounds stops {min(bounding):.2f} to {max(bounding):.2f} s"
+        f"what bounds stops {min(bounding):.2f} to {max(bounding):.2f} s, "
+        f"meanwhile its replay {min(playing):.2f} to {max(playing):.2f} s"
     )
     print(f"load {os.getloadavg()[0]:.1f}; first OK after {', '.join(f'{x:.2f}' for x in took)} s")
     print(f"median {took[len(took) // 2]:.2f} s, worst {took[-1]:.2f} s of {len(took)}")
