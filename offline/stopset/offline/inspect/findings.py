@@ -351,6 +351,16 @@ def torque_delay(
     return out
 
 
+def torque_beyond(end: float) -> list[Finding]:
+    """All joints' torque farther from the motion than was searched, up to ``end`` [s]; 0: it is not."""
+    if not end:
+        return []
+    return [
+        Finding("torque_delay", "error", None, f"the torque of all joints is more than {abs(end) * 1e3:.0f} ms {'late' if end < 0 else 'early'} "
+                "against the motion", "torque and motion of one clock", "put them on one: such a lag looks like friction and inertia", end)
+    ]  # fmt: skip
+
+
 def torque_smoothed(cutoff: float) -> list[Finding]:
     """A low-pass without phase that the torque went through before it was recorded, where one was found: ``cutoff`` [Hz] above 0."""
     if not cutoff:
