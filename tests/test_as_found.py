@@ -189,7 +189,9 @@ def test_files_of_two_clocks_make_no_model(tmp_path: Path) -> None:
     last = [f for i in inspect_recordings(paths, arm()) for f in i.findings if f.kind == "contradiction"]
     assert len(last) == 1 and last[0].severity == "error" and "late.parquet" in last[0].seen and "behind" in last[0].seen
     campaign = campaign_of(arm(), paths)
-    with pytest.raises(RecordingError, match="the torque of late.parquet is 30.* behind the motion, .*; expected one clock: .*--mixed"):
+    with pytest.raises(
+        RecordingError, match=r"the torque of late.parquet is 30.* behind the motion, .*; expected one clock: .*--mixed"
+    ):
         check_files(arm(), campaign.meta, campaign.trials(), mixed=False)
     assert check_files(arm(), campaign.meta, campaign.trials(), mixed=True)[0].endswith("expected one clock")
     alone = identify_nominal(arm(), read_recordings(paths[2], arm()))

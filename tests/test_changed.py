@@ -154,7 +154,7 @@ def test_torque_of_another_clock_than_the_models_is_said_and_no_name(program: Pa
 
 
 def test_of_torque_farther_off_than_can_be_searched_nothing_is_named(program: Pair) -> None:
-    with pytest.raises(RecordingError, match="all joints is more than 60 ms late .* one clock"):
+    with pytest.raises(RecordingError, match=r"all joints is more than 60 ms late .* one clock"):
         diagnose_model(program.model, _logged(program.scenario, LATER, late=0.1))
 
 

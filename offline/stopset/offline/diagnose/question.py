@@ -34,8 +34,7 @@ from stopset.offline.nominal.prior import prior_of
 from stopset.recording import Recordings, SuiteKey
 from stopset.robot import Robot
 
-
-Lags = tuple[Mapping[str, Any], ...]
+Lags = tuple[Mapping[str, Any], ...]  # entries of `lag_entry`
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +71,8 @@ def question(model: Model, recordings: Recordings) -> Inquiry:
     held = survey(lambda: recordings.trials).held_out if powered else frozenset()
     learnt = [r for r in recordings if moves(r) and r.suite_key not in held]
     by_model = tuple(model.provenance.get("taken_out", ()))
-    taken_out, late = (by_model, ()) if own else _lag_of(base.robot, replace(recordings, trials=tuple(learnt)), common_lags(by_model))
+    asked = replace(recordings, trials=tuple(learnt))
+    taken_out, late = (by_model, ()) if own else _lag_of(base.robot, asked, common_lags(by_model))
     cutoff = recorded_low_pass(model.robot.as_described, learnt)
     filtered = (
         (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()

@@ -20,6 +20,8 @@ RATIOS = {  # dq over the derivative of q -> what it means
     180 / np.pi: "dq is in deg/s, q in rad",
     np.pi / 180: "q is in degrees, dq in rad/s",
     1000.0: "dq is in mrad/s or t in ms",
+    1e6: "t is in microseconds",
+    1e9: "t is in nanoseconds",
     0.001: "t is in ms or dq in rad/ms",
     60 / (2 * np.pi): "dq is in rpm",
     -1.0: "dq has the wrong sign",

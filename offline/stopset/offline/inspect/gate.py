@@ -11,7 +11,17 @@ from itertools import groupby
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
-from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, readings, saturation, torque_beyond, torque_limits, velocity
+from stopset.offline.inspect.findings import (
+    RIGHT,
+    RIGHT_TORN,
+    Finding,
+    clock,
+    readings,
+    saturation,
+    torque_beyond,
+    torque_limits,
+    velocity,
+)
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.tally import SignalSums
@@ -103,7 +113,9 @@ def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed:
             "take them as one"
         )
     clocks = tuple(f"inspect says (error): {d.seen(names)}; expected one clock" for d in found if isinstance(d, OwnClock))
-    return clocks + tuple(f"inspect says (warning): {d.joint}: {d.seen(names)}; expected files of one arm in one state" for d in rest)
+    return clocks + tuple(
+        f"inspect says (warning): {d.joint}: {d.seen(names)}; expected files of one arm in one state" for d in rest
+    )
 
 
 def _in_words(found: Iterable[Finding]) -> tuple[str, ...]:

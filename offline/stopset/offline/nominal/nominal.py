@@ -208,7 +208,11 @@ def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[De
     found = f"{lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms"
     if not (lag.common_std <= DELAY_TRUSTED or lag.sure):
         return lag, np.zeros(n), [f"delay of torque against motion undetermined ({found}): none is assumed"]
-    held = "" if abs(lag.common) < OWN else "; predictions get the torque as it comes, and the sets hold the lag: record both on one clock"
+    held = (
+        ""
+        if abs(lag.common) < OWN
+        else "; predictions get the torque as it comes, and the sets hold the lag: record both on one clock"
+    )
     notes = [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms){held}"]
     own = has_own_lag(lag, data.period)
     notes += [
