@@ -79,7 +79,7 @@ def _in_seconds(schema: pa.Schema, batches: Iterator[pa.RecordBatch]) -> tuple[p
     """Column t in seconds where it holds times of day, as tables of dates and times do; any other as it is."""
     at = schema.get_field_index("t")
     kind = schema.field(at).type if at >= 0 else None
-    if not (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
+    if kind is None or not (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
         return schema, batches
     tick = TICKS[kind.unit]
 
