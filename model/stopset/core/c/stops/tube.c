@@ -22,7 +22,7 @@ static const double worth = 0.9; /* share of the energy's range of a speed above
 
 typedef struct {
     const StopsetTube *tube;
-    int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
+    int n, energetic, pulled, related, asked; /* pulled: the momenta still say more than the energy; asked: so do accelerations, or may yet */
     _Alignas(32) double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
     Span q, farthest; /* angles at the cut; displacements from now on, by energy */
     Span w, x, v;     /* on the step: claimed speeds, angles from the pose, speeds under its lines */
@@ -222,6 +222,13 @@ static void caps_alone(March *m, int64_t k) {
         for (int i = 0; i < n; i++) m->out[row][i] = is_lower(row) ? -STOPS_INF : STOPS_INF;
 }
 
+/* Whether accelerations say more of the speeds at the end of a step than the energy does. */
+static int cuts(const March *m, const double *lo, const double *hi) {
+    int more = 0;
+    for (int i = 0; i < m->n; i++) more |= hi[i] - lo[i] < least(m->cap.hi[i], m->energy.end[i]) - most(m->cap.lo[i], -m->energy.end[i]);
+    return more;
+}
+
 /* Bands, lines and retained impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
  * the step is known after it: it was taken a little less, and the step is repeated where that was too much. */
 static int take_step(March *m, int64_t k, double now) {
@@ -233,7 +240,7 @@ static int take_step(March *m, int64_t k, double now) {
     for (int redo = 0;; redo++) { /* ends: from the second on each takes nothing of one more joint */
         int enough = 1;
         later_friction(m, now + m->s.h);
-        verified = verify(m, k);
+        verified = m->asked && verify(m, k);
         if (!verified && !m->energetic) return 0;
         if (!verified) caps_alone(m, k);
         advance(m);
@@ -442,6 +449,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
     m.tube = tube;
     m.n = n;
     m.energetic = m.pulled = energetic;
+    m.asked = 1;
     m.related = related;
     tube->t[0] = 0.0;
     for (int i = 0; i < n; i++) tube->travel_left[i] = STOPS_INF;
@@ -458,6 +466,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
     for (int64_t k = 0; k < stride->count; k++) {
         const double now = tube->t[k], y = m.energy.y;
         double widest = -STOPS_INF;
+        const int pulled = m.pulled;
         *made = k;
         m.s.h = step_from(now, closing, engaged, stride->h, stride->brief);
         if (!prepare(&m, k, now, middle, gravity)) return UNBOUNDED;
@@ -465,6 +474,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
         const int verified = take_step(&m, k, now);
         if (!verified && !energetic) return UNBOUNDED;
         m.related = m.related && verified; /* where it does not help it costs the most */
+        m.asked = !energetic || (m.asked && verified && (pulled || cuts(&m, tube->e_lo + k * n, tube->e_hi + k * n)));
         displace(&m, k);
         settle(&m, k, y);
         tube->t[k + 1] = now + m.s.h;
