@@ -368,38 +368,35 @@ void stops_start_pulls(const Local *at, const Span *v, Span *p) {
 }
 
 /* Speeds on a step from angles in E.q + x, speeds v and momenta p, no faster than `fastest`: claimed, and claimed again while too small; in the
- * end no more is claimed than `fastest`. */
-void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const double *fastest, const Step *s, Span *cap) {
+ * end no more is claimed than `fastest`. `room`: how much farther than v is claimed first, and then for the next step. */
+void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const Step *s, Span *room, Span *cap) {
     const int n = near->E.n;
     const double h = s->h;
+    const Span fastest = *cap;
     Span claim, there = {{0}, {0}};
     Pulls found;
     const Span *raw = &found.speeds;
     for (int i = 0; i < n; i++) {
-        const double room = 0.05 * (v->hi[i] - v->lo[i]) + 0.02;
-        claim.lo[i] = most(-fastest[i], v->lo[i] - room);
-        claim.hi[i] = least(fastest[i], v->hi[i] + room);
+        claim.lo[i] = most(fastest.lo[i], v->lo[i] - room->lo[i]);
+        claim.hi[i] = least(fastest.hi[i], v->hi[i] + room->hi[i]);
     }
     for (int attempt = 0;; attempt++) { /* what is claimed last is enough */
         int enough = 1;
+        if (attempt == CLAIMS - 1) claim = fastest;
         for (int i = 0; i < n; i++) {
-            if (attempt == CLAIMS - 1) {
-                claim.lo[i] = -fastest[i];
-                claim.hi[i] = fastest[i];
-            }
             there.lo[i] = x->lo[i] + h * least(claim.lo[i], 0.0);
             there.hi[i] = x->hi[i] + h * most(claim.hi[i], 0.0);
         }
         stops_box_terms(near, &there, &claim, &near->at);
         pulls_on(near, s, &claim, p, &found, 0);
         for (int i = 0; i < n; i++) {
-            if (!(raw->lo[i] > claim.lo[i]) && claim.lo[i] > -fastest[i]) {
+            if (!(raw->lo[i] > claim.lo[i]) && claim.lo[i] > fastest.lo[i]) {
                 enough = 0;
-                claim.lo[i] = most(-fastest[i], raw->lo[i] - 0.1 * (claim.lo[i] - raw->lo[i]) - 0.01);
+                claim.lo[i] = most(fastest.lo[i], raw->lo[i] - 0.1 * (claim.lo[i] - raw->lo[i]) - 0.01);
             }
-            if (!(raw->hi[i] < claim.hi[i]) && claim.hi[i] < fastest[i]) {
+            if (!(raw->hi[i] < claim.hi[i]) && claim.hi[i] < fastest.hi[i]) {
                 enough = 0;
-                claim.hi[i] = least(fastest[i], raw->hi[i] + 0.1 * (raw->hi[i] - claim.hi[i]) + 0.01);
+                claim.hi[i] = least(fastest.hi[i], raw->hi[i] + 0.1 * (raw->hi[i] - claim.hi[i]) + 0.01);
             }
         }
         if (enough) break;
@@ -407,6 +404,8 @@ void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, co
     for (int i = 0; i < n; i++) {
         cap->lo[i] = most(claim.lo[i], raw->lo[i]);
         cap->hi[i] = least(claim.hi[i], raw->hi[i]);
+        room->lo[i] = most(1.1 * (v->lo[i] - cap->lo[i]), 0.0) + 0.01;
+        room->hi[i] = most(1.1 * (cap->hi[i] - v->hi[i]), 0.0) + 0.01;
     }
 }
 

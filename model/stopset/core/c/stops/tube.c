@@ -26,7 +26,7 @@ typedef struct {
     _Alignas(32) double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
     Span q, farthest; /* angles at the cut; displacements from now on, by energy */
     Span w, x, v;     /* on the step: claimed speeds, angles from the pose, speeds under its lines */
-    Span momenta, cap; /* of all joints at the knot; of speeds on the step */
+    Span momenta, cap, room; /* of all joints at the knot; of speeds on the step; beyond those at the knot, first claimed */
     Step s;
     Bands b, end;
     Energy energy;
@@ -320,7 +320,7 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->cap.hi[i] = m->energy.cap[i];
     }
     stops_span(n, t->v_lo + k * n, t->v_hi + k * n, &speeds);
-    if (m->pulled) stops_pull_caps(&m->near, &m->x, &speeds, &m->momenta, m->energy.cap, &m->s, &m->cap);
+    if (m->pulled) stops_pull_caps(&m->near, &m->x, &speeds, &m->momenta, &m->s, &m->room, &m->cap);
     m->pulled = 0;
     for (int i = 0; i < n; i++) m->pulled |= m->cap.hi[i] - m->cap.lo[i] < worth * 2.0 * m->energy.cap[i];
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
@@ -422,6 +422,7 @@ static void begin(March *m, const StopsetBox *box, const double *middle) {
         m->energy.cap[i] = m->energy.end[i] = m->farthest.hi[i] = m->cap.hi[i] = STOPS_INF;
         m->cap.lo[i] = -STOPS_INF;
         m->farthest.lo[i] = -STOPS_INF;
+        m->room.lo[i] = m->room.hi[i] = 0.05 * (v.hi[i] - v.lo[i]) + 0.02;
     }
     stops_start_local(n, &m->near.at);
     stops_start_bands(n, &v, &m->b);
