@@ -20,6 +20,8 @@ const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_
 enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy does not fall */
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
+static const double too_far = 100.0; /* times the range of a speed, by which claims let it change on one step */
+
 typedef struct {
     const StopsetTube *tube;
     int n, energetic, pulled, related, asked; /* pulled: the momenta still say more than the energy; asked: so do accelerations, or may yet */
@@ -191,6 +193,14 @@ static void torques(March *m, const double *lo, const double *hi) {
     }
 }
 
+/* Whether claims have left what the caps allow so far behind that they would only grow. */
+static int hopeless(const March *m) {
+    for (int row = 0; row < 4; row++)
+        for (int i = 0; i < m->n; i++)
+            if (m->s.h * size_of(m->claim[row][i]) > too_far * (m->cap.hi[i] - m->cap.lo[i])) return 1;
+    return 0;
+}
+
 /* Claims until they hold; whether they did. */
 static int verify(March *m, int64_t k) {
     const int n = m->n;
@@ -206,6 +216,7 @@ static int verify(March *m, int64_t k) {
         stops_accelerations(&m->near.at, &m->s, m->out);
         if (m->related) stops_related(&m->near, &m->s, m->out);
         if (claims_hold(m)) return 1;
+        if (hopeless(m)) return 0; /* never without caps, which are infinite then */
     }
     return 0;
 }
