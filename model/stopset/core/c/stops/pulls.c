@@ -42,7 +42,7 @@ typedef struct {
     double lo[SN], hi[SN], scale[SN], loose[SN], beyond[SN];
 } Rows;
 
-STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
+UNROLLED void rows_of(int n, const Along *A, const Met *x, Rows *out) {
     for (int i = 0; i < n; i += LANES) {
         Four lo = {0}, hi = {0}, scale = {0}, loose = {0}, beyond = {0};
         for (int j = 0; j < n; j++) {
@@ -63,7 +63,7 @@ STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out
 }
 
 /* By slopes: what one angle or the payload does to the middle of all of row i, and what is beyond; with either of two boxes of its own number. */
-STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
+UNROLLED void slopes_of(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
     Four first = {0}, second = {0};
     for (int g = 0; g < groups_of(n); g++) {
         const Four *slope = A->slope[g], own = slope[pair(i, i)], size = SIZES_OF(own);
@@ -83,6 +83,24 @@ STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, 
     }
     out[0] = sum_of(&first);
     out[1] = sum_of(&second);
+}
+
+STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
+    if (n == USUAL_JOINTS)
+        rows_of(USUAL_JOINTS, A, x, out);
+    else if (n == 7)
+        rows_of(7, A, x, out);
+    else
+        rows_of(n, A, x, out);
+}
+
+STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
+    if (n == USUAL_JOINTS)
+        slopes_of(USUAL_JOINTS, A, x, i, mid, rad, out);
+    else if (n == 7)
+        slopes_of(7, A, x, i, mid, rad, out);
+    else
+        slopes_of(n, A, x, i, mid, rad, out);
 }
 
 /* How far a row is from that at the entries' middle. */
