@@ -86,21 +86,11 @@ UNROLLED void slopes_of(int n, const Along *A, const Met *x, int i, const double
 }
 
 STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
-    if (n == USUAL_JOINTS)
-        rows_of(USUAL_JOINTS, A, x, out);
-    else if (n == 7)
-        rows_of(7, A, x, out);
-    else
-        rows_of(n, A, x, out);
+    SIZED(rows_of, n, A, x, out);
 }
 
 STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
-    if (n == USUAL_JOINTS)
-        slopes_of(USUAL_JOINTS, A, x, i, mid, rad, out);
-    else if (n == 7)
-        slopes_of(7, A, x, i, mid, rad, out);
-    else
-        slopes_of(n, A, x, i, mid, rad, out);
+    SIZED(slopes_of, n, A, x, i, mid, rad, out);
 }
 
 /* How far a row is from that at the entries' middle. */

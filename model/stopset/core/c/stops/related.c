@@ -55,12 +55,7 @@ UNROLLED void pivot_along(int n, const Along *restrict A, int k, Along *restrict
 }
 
 STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
-    if (n == USUAL_JOINTS)
-        pivot_along(USUAL_JOINTS, A, k, B);
-    else if (n == 7)
-        pivot_along(7, A, k, B);
-    else
-        pivot_along(n, A, k, B);
+    SIZED(pivot_along, n, A, k, B);
 }
 
 /* What slopes do to row i: sums of their sizes times what torques are uncertain by, of columns, times all that scales rounding, and of its own. */
@@ -124,12 +119,7 @@ UNROLLED void row_of(int n, const Along *A, int i, Relation *x) {
 }
 
 STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
-    if (x->n == USUAL_JOINTS)
-        row_of(USUAL_JOINTS, A, i, x);
-    else if (x->n == 7)
-        row_of(7, A, i, x);
-    else
-        row_of(x->n, A, i, x);
+    SIZED(row_of, x->n, A, i, x);
 }
 
 /* B: A with joint k inside; 0 if that is not surely possible. */
