@@ -137,10 +137,8 @@ static void read_rows(const Along *A, Exchange *x) {
     Rows rows;
     sum_rows(x->n, A, &x->met, &rows);
     for (int i = 0; i < x->n; i++) {
-        if (x->inside[i])
-            read_speed(A, &rows, i, x);
-        else if (x->rest)
-            read_pulls(A, &rows, i, x);
+        if (x->inside[i] && x->out) read_speed(A, &rows, i, x);
+        if (!x->inside[i] && x->rest) read_pulls(A, &rows, i, x);
     }
 }
 
@@ -250,7 +248,7 @@ static void looseness(const Near *near, const Inverse *inverse, const Span *v, c
     }
 }
 
-/* For speeds in v and momenta in p: speeds (out), and where asked momenta of joints that do not move forward (rest.hi) or backward (rest.lo);
+/* For speeds in v and momenta in p, where asked: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo);
  * infinite where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
 static void exchange(const Near *near, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
     const int n = near->E.n;
@@ -267,8 +265,10 @@ static void exchange(const Near *near, const Inverse *inverse, const Span *v, co
     stops_slopes(near, fast, &x.start, push, x.beyond);
     looseness(near, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
-        out->lo[i] = -STOPS_INF;
-        out->hi[i] = STOPS_INF;
+        if (out) {
+            out->lo[i] = -STOPS_INF;
+            out->hi[i] = STOPS_INF;
+        }
         if (rest) {
             rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
             rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
@@ -340,13 +340,13 @@ static void during(int n, const Span *p, const Span *any, double h, Span *out) {
     }
 }
 
-/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), the momenta, and what these leave of the speeds. */
+/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), and the momenta. */
 typedef struct {
-    Span any, on, momenta, speeds;
+    Span any, on, momenta;
 } Pulls;
 
-/* On a step with speeds in w, from momenta p; `rest`, where asked: what pulls at a joint at rest. */
-static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out, Span *rest) {
+/* On a step with speeds in w, from momenta p; where asked: what the momenta leave of the speeds, and what pulls at a joint at rest. */
+static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out, Span *speeds, Span *rest) {
     const int n = near->E.n;
     Inverse room;
     const Inverse *inverse = invert(near, &room) ? &room : 0;
@@ -356,7 +356,7 @@ static void pulls_on(const Near *near, const Step *s, const Span *w, const Span 
         rates(near, inverse, s, w, &out->momenta, &out->any, &out->on);
         during(n, p, &out->any, s->h, &out->momenta);
     }
-    exchange(near, inverse, w, &out->momenta, &out->speeds, rest);
+    exchange(near, inverse, w, &out->momenta, speeds, rest);
 }
 
 void stops_start_pulls(const Local *at, const Span *v, Span *p) {
@@ -381,9 +381,8 @@ void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, co
     const int n = near->E.n;
     const double h = s->h;
     const Span fastest = *cap;
-    Span claim, there = {{0}, {0}};
+    Span claim, raw, there = {{0}, {0}};
     Pulls found;
-    const Span *raw = &found.speeds;
     for (int i = 0; i < n; i++) {
         claim.lo[i] = most(fastest.lo[i], v->lo[i] - room->lo[i]);
         claim.hi[i] = least(fastest.hi[i], v->hi[i] + room->hi[i]);
@@ -396,22 +395,22 @@ void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, co
             there.hi[i] = x->hi[i] + h * most(claim.hi[i], 0.0);
         }
         stops_box_terms(near, &there, &claim, &near->at);
-        pulls_on(near, s, &claim, p, &found, 0);
+        pulls_on(near, s, &claim, p, &found, &raw, 0);
         for (int i = 0; i < n; i++) {
-            if (!(raw->lo[i] > claim.lo[i]) && claim.lo[i] > fastest.lo[i]) {
+            if (!(raw.lo[i] > claim.lo[i]) && claim.lo[i] > fastest.lo[i]) {
                 enough = 0;
-                claim.lo[i] = most(fastest.lo[i], raw->lo[i] - 0.1 * (claim.lo[i] - raw->lo[i]) - 0.01);
+                claim.lo[i] = most(fastest.lo[i], raw.lo[i] - 0.1 * (claim.lo[i] - raw.lo[i]) - 0.01);
             }
-            if (!(raw->hi[i] < claim.hi[i]) && claim.hi[i] < fastest.hi[i]) {
+            if (!(raw.hi[i] < claim.hi[i]) && claim.hi[i] < fastest.hi[i]) {
                 enough = 0;
-                claim.hi[i] = least(fastest.hi[i], raw->hi[i] + 0.1 * (raw->hi[i] - claim.hi[i]) + 0.01);
+                claim.hi[i] = least(fastest.hi[i], raw.hi[i] + 0.1 * (raw.hi[i] - claim.hi[i]) + 0.01);
             }
         }
         if (enough) break;
     }
     for (int i = 0; i < n; i++) {
-        cap->lo[i] = most(claim.lo[i], raw->lo[i]);
-        cap->hi[i] = least(claim.hi[i], raw->hi[i]);
+        cap->lo[i] = most(claim.lo[i], raw.lo[i]);
+        cap->hi[i] = least(claim.hi[i], raw.hi[i]);
         room->lo[i] = most(1.1 * (v->lo[i] - cap->lo[i]), 0.0) + 0.01;
         room->hi[i] = most(1.1 * (cap->hi[i] - v->hi[i]), 0.0) + 0.01;
     }
@@ -424,7 +423,7 @@ void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span
     Pulls found;
     Span pull;
     const Span *any = &found.any, *on = &found.on, *rest = &pull;
-    pulls_on(near, s, w, p, &found, &pull);
+    pulls_on(near, s, w, p, &found, 0, &pull);
     for (int i = 0; i < n; i++) {
         const double hi = p->hi[i] + h * any->hi[i], lo = p->lo[i] + h * any->lo[i], push = most(0.0, h * on->hi[i]), back = least(0.0, h * on->lo[i]);
         const double pull_hi = pulled ? rest->hi[i] + push : -STOPS_INF, pull_lo = pulled ? rest->lo[i] + back : STOPS_INF;
