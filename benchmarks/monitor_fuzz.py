@@ -1,8 +1,9 @@
-"""Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seconds S] [--seed S] [--json FILE] [--kept FILE]``.
+"""Rubbish for every parser of the monitor: ``python benchmarks/monitor_fuzz.py [--inputs N] [--seconds S] [--kept FILE] [--found FOLDER]``.
 
 Each input is a good one with bytes changed, cut, doubled, spliced, or numbers and brackets put where they hurt. A parser may
-take it or refuse it with an error of stopset's own; anything else, and an input that holds it for ever, is printed with the input that
-did it. With ``--kept`` every run adds to what FILE holds, with other inputs, until each parser, those of files too, has had ``--inputs``.
+take it or refuse it with an error of stopset's own; anything else, and an input that it is not done with soon, is printed with the input
+that did it, and with ``--found`` written to a file. With ``--kept`` every run adds to what FILE holds, with other inputs, until each parser,
+those of files too, has had ``--inputs``.
 The good ones are as small as a parser takes, one drive and as few cycles as make a trial: a file's length is only paid for.
 """
 
@@ -46,12 +47,13 @@ from mcap.writer import CompressionType, Writer
 from monitor_arm import known_model, motion
 from state_messages import pack
 from stopset.artifact import Model, load_model, save_model
-from stopset.artifact.store import _digest
+from stopset.artifact.polynomial import Polynomial
+from stopset.artifact.store import _digest, model_text
 from stopset.errors import BusError, StopsetError
 from stopset.monitor.along import watch_for
 from stopset.monitor.authentication import load_keys
 from stopset.monitor.bags import trials_of_bag
-from stopset.monitor.config import load_config
+from stopset.monitor.config import Stops, load_config
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.journal import Journal, blank
 from stopset.monitor.latch import Latch, Record
@@ -66,6 +68,7 @@ from stopset.monitor.profile import Profile, load_profile
 from stopset.monitor.replay import signal_rows
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import CanSource
+from stopset.monitor.stopworker import answer_for, prepare
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View
 from stopset.recording.seen import open_seen
@@ -73,7 +76,7 @@ from stopset.sets import Box
 from synthetic import arm
 
 IN_MEMORY = ("joint_states JSON", "joint_states CDR", "reset", "state message", "CAN frames", "viewer", "hub", "latch", "counts")
-LONGEST = 10.0  # [s] of processor time that an input may take
+SLOW, LONGEST = 2.0, 10.0  # [s] of processor time from which an input is a finding, and after which it is ended
 PROFILE = load_profile("lwa4p/monitor")
 DRIVES = 1  # of the logs' arm
 MOTION = ("1802", "1A02", "6064", "606C")  # objects of a drive's dictionary that make the frame of its motion
@@ -81,6 +84,8 @@ OBJECTS = (*MOTION, "1803", "1A03", "200D", "6041", "6077")  # and the other one
 BLF_HEAD = struct.Struct(
     "<4sHHIIH6xI4x"
 )  # of an object that holds others, python-can's: LOBJ, sizes, kind; method, bytes unpacked
+REHASHED = ("model, right hash", "model, stops")
+STATE = np.array([0.1, 0.6]), np.array([0.11, 0.62])  # (q, dq) of a stop, from and to
 SPOKEN = ("timestamp", "actual_q", "actual_qd")
 SPICE = [
     b"\0", b"\xff", b"\xff\xff\xff\xff",
@@ -192,6 +197,14 @@ def small_model() -> Model:
         sets={"powered": replace(s, X0=cut(s.X0), U=cut(s.U), V=cut(s.V))}, domain=replace(d, q=cut(d.q), dq=cut(d.dq), u=cut(d.u)),
         brakes=replace(b, torque=cut(b.torque), delay=cut(b.delay), rise=cut(b.rise)),
     )  # fmt: skip
+
+
+def nonlinear_models(m: Model) -> tuple[Model, Model]:
+    """The same with damping that grows with the speed, and with a polynomial of its own."""
+    a = m.abstraction
+    curved = Polynomial(np.array([[1, 0, 1], [0, 1, 0]]), np.array([0.1, 0.2]))
+    damped = replace(a, order=2, viscous=np.hstack([a.viscous, 0.3 * a.viscous]))
+    return replace(m, abstraction=damped), replace(m, abstraction=replace(a, kind=2, coriolis=(curved,)))
 
 
 def dictionary(objects: tuple[str, ...]) -> str:
@@ -390,6 +403,7 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         w.add_message(channel, stamp, data, stamp)
     w.finish()
     save_model(small_model(), folder / "m.json")
+    small_models = [model_text(m).encode() for m in (small_model(), *nonlinear_models(small_model()))]
     stop = {"time_s": 0.1, "tcp_m": None, "why": "", "joints": {}}
     twin = {
         "state": "OK", "why": "x", "data_id": 1, "joints": list(names), "violations": [{"joint": names[0], "samples": 1}],
@@ -401,7 +415,8 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "CAN frames": [b"".join(c.to_bytes(2, "little") + bytes([len(d), 0]) + d.ljust(9, b"\0") for _, c, d in stream[:26])],
         "viewer": [json.dumps(twin).encode(), b'{"kind": "gap", "why": "x"}', pack({"data_id": 1})],
         "configuration": [config], "profile": [small_profile().encode()], "keys": [f"1 {'11' * 32}\n".encode()],
-        "EDS": [dictionary(MOTION).encode()], "model": [(folder / "m.json").read_bytes()], "model, right hash": [(folder / "m.json").read_bytes()],
+        "EDS": [dictionary(MOTION).encode()], "model": [(folder / "m.json").read_bytes()], "model, right hash": small_models,
+        "model, stops": [(folder / "m.json").read_bytes()],
         "MCAP": [out.getvalue()], "MCAP of a violation": [record(CompressionType.NONE), record(CompressionType.ZSTD)], "db3": [db.read_bytes()],
         "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
         "played log": files[".log"], "candump.gz": [gzip.compress(files[".log"][0])], "db3.zstd": [zstandard.compress(db.read_bytes())],
@@ -465,7 +480,19 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
                 assert between is not None and not np.isnan(between).any(), "conformant, by a tube that is none"
         return watch
 
+    def stopped(path: Path) -> object:
+        """Its stops bounded, too, as the monitor's other process does."""
+        prepared, _ = prepare(str(path), None, Stops(ramp_deceleration=5.0))
+        if prepared is None:
+            return None
+        for category in ("0", "1"):
+            numbers = answer_for(prepared, category, *STATE).numbers
+            assert not numbers.why.startswith("the bound failed"), numbers.why
+            assert not np.isnan([*numbers.time, *numbers.forward, *numbers.back, numbers.tcp]).any(), "a bound that is no number"
+        return prepared
+
     found["model, right hash"] = through_file(".rehashed.model.json", watched, folder)
+    found["model, stops"] = through_file(".stopped.model.json", stopped, folder)
     return found
 
 
@@ -490,7 +517,7 @@ def changed(name: str, rng: random.Random, seeds: list[bytes]) -> bytes:
     """An input for this parser."""
     if name in PACKED and rng.randrange(4):
         return PACKED[name](rng, seeds)
-    if name != "model, right hash":
+    if name not in REHASHED:
         return spoilt(rng, seeds)
     if rng.randrange(8):
         return rehashed(spoilt_tree(rng, rng.choice(seeds)))
@@ -501,6 +528,10 @@ def changed(name: str, rng: random.Random, seeds: list[bytes]) -> bytes:
         return data
 
 
+class Slow(Exception):
+    """An input has been answered, after more processor time than any may take."""
+
+
 class Stuck(BaseException):
     """An input has taken more processor time than any may; not an `Exception`, which a parser would take for damage."""
 
@@ -509,27 +540,47 @@ def stuck(*_: object) -> None:
     raise Stuck(f"not done after {LONGEST} s of processor time")
 
 
+def outcome(parse: Callable[[bytes], object], data: bytes) -> tuple[str, BaseException | None]:
+    """What has come of an input, and what was foreign in it."""
+    begin, kind = time.process_time(), "taken"
+    signal.setitimer(signal.ITIMER_PROF, LONGEST)
+    try:
+        try:
+            parse(data)
+        except StopsetError:
+            kind = "refused"
+        if (took := time.process_time() - begin) > SLOW:
+            raise Slow(f"{kind} after {took:.1f} s of processor time")
+    except (Exception, Stuck) as e:  # noqa: BLE001 - what is looked for
+        return f"FOREIGN {type(e).__name__}", e
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+    return kind, None
+
+
 def fuzz(
-    name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs: int, seed: int, seconds: float = math.inf
-) -> Counter[str]:
-    """Outcomes by kind; foreign ones by the exception's name. Ends early after ``seconds`` of processor time."""
+    name: str, parse: Callable[[bytes], object], seeds: list[bytes], inputs: int, seed: int, seconds: float = math.inf,
+    found: Path | None = None,
+) -> Counter[str]:  # fmt: skip
+    """Outcomes by kind; foreign ones by the exception's name, with their inputs in the folder ``found``.
+
+    Ends early after ``seconds`` of processor time.
+    """
     rng, out, end = random.Random(f"{name} {seed}"), Counter[str](), time.process_time() + seconds
     before = signal.signal(signal.SIGPROF, stuck)
     for _ in range(inputs):
         if time.process_time() > end:
             break
         data = changed(name, rng, seeds)
-        try:
-            signal.setitimer(signal.ITIMER_PROF, LONGEST)
-            parse(data)
-            out["taken"] += 1
-        except StopsetError:
-            out["refused"] += 1
-        except (Exception, Stuck) as e:  # noqa: BLE001 - what is looked for
-            if out[f"FOREIGN {type(e).__name__}"] == 0:
-                print(f"{name}: {type(e).__name__}: {str(e)[:120]}  by  {data[:120]!r}", flush=True)
-            out[f"FOREIGN {type(e).__name__}"] += 1
-    signal.setitimer(signal.ITIMER_PROF, 0.0)
+        kind, e = outcome(parse, data)
+        out[kind] += 1
+        if e is None:
+            continue
+        if out[kind] == 1:
+            print(f"{name}: {type(e).__name__}: {str(e)[:120]}  by  {data[:120]!r}", flush=True)
+        if found is not None:
+            found.mkdir(parents=True, exist_ok=True)
+            (found / f"{name} {type(e).__name__} {zlib.crc32(data):08x}").write_bytes(data)
     signal.signal(signal.SIGPROF, before)
     return out
 
@@ -544,6 +595,7 @@ def main() -> int:
     parser.add_argument("--only", help="one parser")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--kept", type=Path)
+    parser.add_argument("--found", type=Path)
     args = parser.parse_args()
     kept: dict[str, dict[str, int]] = json.loads(args.kept.read_text()) if args.kept and args.kept.exists() else {}
     logging.disable()  # the libraries' own words on every damaged line
@@ -561,7 +613,7 @@ def main() -> int:
             begin, before = time.process_time(), Counter(kept.get(name, {}))
             n = args.inputs if name in IN_MEMORY or args.kept else max(1, args.inputs // 100)
             # what a parser has had so far begins another run of chance
-            new = fuzz(name, parse, seeds[name], n - before.total(), args.seed + before.total(), args.seconds)
+            new = fuzz(name, parse, seeds[name], n - before.total(), args.seed + before.total(), args.seconds, args.found)
             found[name] = kept[name] = dict(before + new)
             if args.kept:
                 args.kept.write_text(json.dumps(kept))

@@ -166,10 +166,90 @@ def a_kind_that_is_none(body: dict[str, Any]) -> None:
     body["abstraction"]["kind"] = 2**63
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [half_a_character, longer_limits, no_steps, endless_horizon, no_number, too_large, no_friction_at_all, a_kind_that_is_none],
-)
+def damping_that_takes_for_ever(body: dict[str, Any]) -> None:
+    body["abstraction"]["viscous"] = [[x[0], 1e9] for x in body["abstraction"]["viscous"]]
+
+
+def damping_that_no_whole_number_counts(body: dict[str, Any]) -> None:
+    body["abstraction"]["viscous"] = [[x[0], 1e300] for x in body["abstraction"]["viscous"]]
+
+
+def damping_at_any_speed(body: dict[str, Any]) -> None:
+    body["abstraction"]["viscous"] = [[x[0], 1.0] for x in body["abstraction"]["viscous"]]
+    body["domain"]["dq"][0] = ["-inf", "inf"]
+
+
+def a_table_larger_than_memory(body: dict[str, Any]) -> None:
+    s = body["sets"]["powered"]
+    s["horizon"] = 90_000 * s["dt"]
+    n, pieces = len(s["U"]), 200
+    around = [0.5 * (lo + hi) for lo, hi in s["U"]]
+    s["zonotope"] = {"centre": around, "generators": [[0.0] * pieces] * n, "directions": [[1.0] * n]}
+
+
+def polynomials(body: dict[str, Any], exponent: list[int], value: float = 1.0) -> None:
+    n = len(body["rotor"])
+    body["abstraction"] |= {"kind": 2, "coriolis": [{"exponent": [exponent], "coefficient": [value]} for _ in range(n)]}
+
+
+def a_polynomial_of_other_variables(body: dict[str, Any]) -> None:
+    polynomials(body, [1] * 50)
+
+
+def a_power_of_300(body: dict[str, Any]) -> None:
+    polynomials(body, [300] + [0] * (3 * len(body["rotor"]) - 1))
+
+
+def a_power_below_zero(body: dict[str, Any]) -> None:
+    polynomials(body, [-1] + [0] * (3 * len(body["rotor"]) - 1))
+
+
+def a_coefficient_that_is_none(body: dict[str, Any]) -> None:
+    polynomials(body, [1] + [0] * (3 * len(body["rotor"]) - 1), math.inf)
+
+
+def brakes_before_the_order(body: dict[str, Any]) -> None:
+    n = len(body["rotor"])
+    body["brakes"] = {"torque": [[1.0, 2.0]] * n, "delay": [[-1.0, 0.1]] * n, "rise": [[0.0, 0.1]] * n}
+
+
+def brakes_that_take_for_ever(body: dict[str, Any]) -> None:
+    n = len(body["rotor"])
+    body["brakes"] = {"torque": [[1.0, 2.0]] * n, "delay": [[0.1, 1e308]] * n, "rise": [[0.0, 0.1]] * n, "apart": 1e-9}
+
+
+def brakes_apart_by_less_than_nothing(body: dict[str, Any]) -> None:
+    n = len(body["rotor"])
+    body["brakes"] = {"torque": [[1.0, 2.0]] * n, "delay": [[0.0, 0.1]] * n, "rise": [[0.0, 0.1]] * n, "apart": -1}
+
+
+def a_lag_that_is_none(body: dict[str, Any]) -> None:
+    n = len(body["rotor"])
+    body["brakes"] = {"torque": [[1.0, 2.0]] * n, "delay": [[0.0, 0.1]] * n, "rise": [[0.0, 0.1]] * n, "lag": [None] * n}
+
+
+def gravity_without_a_direction(body: dict[str, Any]) -> None:
+    body["robot"]["gravity"] = [-9.81]
+
+
+def a_set_without_an_end(body: dict[str, Any]) -> None:
+    body["sets"]["powered"]["V"][0][1] = 1e308
+
+
+def any_speed(body: dict[str, Any]) -> None:
+    body["domain"]["dq"][0][1] = "inf"
+
+
+SPOILT = [
+    half_a_character, longer_limits, no_steps, endless_horizon, no_number, too_large, no_friction_at_all, a_kind_that_is_none,
+    damping_that_takes_for_ever, damping_that_no_whole_number_counts, damping_at_any_speed, a_table_larger_than_memory,
+    a_polynomial_of_other_variables, a_power_of_300, a_power_below_zero, a_coefficient_that_is_none, brakes_before_the_order,
+    brakes_that_take_for_ever, brakes_apart_by_less_than_nothing, a_lag_that_is_none, gravity_without_a_direction, a_set_without_an_end,
+    any_speed,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("spoil", SPOILT)
 def test_what_a_fuzzer_found_in_files_whose_hash_is_right(spoil: Any, planar, tmp_path: Path) -> None:
     path = tmp_path / "m.json"
     save_model(planar[2].model, path)

@@ -498,6 +498,7 @@ OTHER_MEANINGS = (
     ("stopset.offline.diagnose.columns", "coriolis", "a signal that laws read"),
     ("stopset.reach.stops", "viscous delay", "fields of a stop's numbers"),
     ("stopset.artifact.store", "delay", "a field of the model file"),
+    ("stopset.artifact.contents", "delay", "a field of the model file"),
     ("stopset.offline.brakes.power_off", "delay", "the brakes'"),
     ("stopset.offline.identify.constants", "delay", "a stage of the identification"),
     ("stopset.fmu.variables", "viscous", "the damping of the abstraction"),

@@ -21,7 +21,7 @@ import monitor_fuzz
 MEMORY, FILES = 1500, 60
 SLOW = (
     "MCAP", "MCAP of a violation", "BLF", "EDS", "ASC", "TRC", "candump", "candump on screen", "candump.gz", "played log", "db3", "db3.zstd",
-    "model", "model, right hash", "RTDE", "latch",
+    "model", "model, right hash", "model, stops", "RTDE", "latch",
 )  # fmt: skip
 
 

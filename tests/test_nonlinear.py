@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,7 +17,7 @@ from plain_sets import leak
 from set_problems import binary_search, fit_nonlinear, problem
 from stopset.artifact import Abstraction, UncertaintySets, load_model, save_model
 from stopset.effects.base import Fitted
-from stopset.errors import NotConformant, StopsetError
+from stopset.errors import NotConformant, NotCovered, StopsetError
 from stopset.offline.abstraction import (
     IdentifiedArm,
     ModelCandidate,
@@ -41,7 +42,7 @@ from stopset.offline.conform.problem import SetProblem
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import FITTING, Settings, identify
 from stopset.reach.flowpipe import responses
-from stopset.reach.nonlinear import along, nominal, predicted_tube, two_simulations
+from stopset.reach.nonlinear import along, nominal, parts, predicted_tube, two_simulations
 from stopset.recording import Recording, reader
 from stopset.sets import Box
 from synthetic import arm, recordings, save_trials
@@ -126,6 +127,14 @@ def test_two_simulations_are_the_exact_hull_for_any_friction_curve() -> None:
         if k < 2:
             assert np.abs(x - (lo, hi)[k]).max() < tolerance  # the bounds are attained
     assert left > 0.05  # the linear model of the same joint is left by far
+
+
+@pytest.mark.parametrize("speed", [1e6, 1e300, math.inf, math.nan])
+def test_speeds_at_which_a_step_would_never_end_are_refused(speed: float) -> None:
+    """Found by a fuzzer: from 1e19 parts on their number was negative, and no step was taken at all."""
+    assert parts(model_1(), DT, np.array([2.0, 1.0])) >= 1
+    with pytest.raises(NotCovered, match="damping at"):
+        parts(model_1(), DT, np.array([speed, 1.0]))
 
 
 def test_known_disturbances_are_found_again() -> None:

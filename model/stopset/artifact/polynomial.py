@@ -18,6 +18,7 @@ from stopset.core.library import ffi, given, integers, lib, view
 from stopset.types import Array
 
 Integers = NDArray[np.int64]
+MOST_POWER = 255  # of a variable: monomials are sorted as strings of bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,8 @@ from typing import Any, get_args, get_origin
 
 import numpy as np
 
-from stopset.artifact.model import SCHEMA_VERSION, Model, UncertaintySets
+from stopset.artifact.contents import check_contents
+from stopset.artifact.model import SCHEMA_VERSION, Model
 from stopset.errors import ModelFileError, RobotError
 from stopset.files import write_text
 from stopset.robot import Robot
@@ -26,7 +27,6 @@ from stopset.robot.arm import Arm, robot_of
 from stopset.sets import Box
 
 FORMAT = "stopset model"
-MOST_STEPS = 100_000  # of a horizon
 FIRST_SCHEMA, LAGS, ARM = (
     1,
     3,
@@ -209,7 +209,7 @@ def model_of(data: bytes, path: str | Path, reader: Reader | None = None) -> Mod
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RobotError) as e:
         raise ModelFileError(f"{p} cannot be used ({type(e).__name__}: {e}); identify again") from e
     assert isinstance(model, Model)
-    _check_shapes(model, p)
+    check_contents(model, p)
     return model
 
 
@@ -218,60 +218,3 @@ def _own_places(brakes: Any) -> None:
     if brakes is not None and brakes.get("apart") is not None:
         earliest = [float(lo) for lo, _ in brakes["delay"]]
         brakes["lag"] = [lo - min(earliest) for lo in earliest]
-
-
-def _fits(sets: UncertaintySets, n: int) -> bool:
-    """Whether a zonotope has the robot's joints, and ``U`` is around it."""
-    z = sets.zonotope
-    if z is None:
-        return True
-    shapes = z.centre.shape == (n,) and z.generators.ndim == z.directions.ndim == 2
-    return shapes and len(z.generators) == z.directions.shape[1] == n and sets.U.encloses(z.set.box)
-
-
-def _check_shapes(m: Model, path: Path) -> None:
-    n = m.n
-    wrong = [
-        name
-        for name, ok in (
-            ("rotor", m.rotor.shape == (n,)),
-            ("abstraction.kind", m.abstraction.kind in (1, 2, 3)),
-            ("abstraction.Minv", m.abstraction.Minv.shape == (n, n)),
-            (
-                "abstraction.viscous",
-                m.abstraction.viscous.ndim == 2 and len(m.abstraction.viscous) == n and m.abstraction.viscous.size > 0,
-            ),
-            ("abstraction.coriolis", len(m.abstraction.coriolis) in (0, n)),
-            ("abstraction.acceleration", len(m.abstraction.acceleration) == (n if m.abstraction.kind == 3 else 0)),
-            ("abstraction.offset", m.abstraction.offset.size in (0, n)),
-            ("abstraction.standstill", m.abstraction.standstill.size in (0, n)),
-            ("brakes", m.brakes is None or {m.brakes.torque.dim, m.brakes.delay.dim, m.brakes.rise.dim} == {n}),
-            ("brakes.lag", m.brakes is None or m.brakes.lag is None or m.brakes.lag.shape == (n,)),
-            ("effects", all(f.joint is None or set(f.joint.split("+")) <= set(m.joints) for f in m.effects)),
-            ("domain", {x.dim for x in (m.domain.q, m.domain.dq, m.domain.u, m.domain.temp) if x is not None} == {n}),
-            *((f"sets.{k}", s.X0.dim == 2 * n and s.U.dim == n and s.V.dim == 2 * n) for k, s in m.sets.items()),
-            *((f"sets.{k}.zonotope", _fits(s, n)) for k, s in m.sets.items()),
-            ("sets.powered", "powered" in m.sets),
-        )
-        if not ok
-    ]
-    if wrong:
-        raise ModelFileError(f"{path}: {', '.join(wrong)} does not fit the robot's {n} joints; identify again")
-    _check_numbers(m, path)
-
-
-def _check_numbers(m: Model, path: Path) -> None:
-    """A tube with a hole where a number is missing would hold nothing against a sample."""
-    a, chain = m.abstraction, m.robot.chain
-    numbers = {
-        "rotor": m.rotor, "robot.pi": m.robot.pi, "robot.arm.R": chain.R, "robot.arm.p": chain.p, "robot.arm.axis": chain.axis,
-        "robot.arm.tip": m.robot.tip, "abstraction.Minv": a.Minv, "abstraction.viscous": a.viscous, "abstraction.offset": a.offset,
-        "abstraction.standstill": a.standstill, "domain.payload": np.array(m.domain.payload),
-    }  # fmt: skip
-    wrong = [name for name, x in numbers.items() if not np.isfinite(x).all()]
-    limits = {"robot.arm.q_limit": m.robot.q_limit, "robot.arm.dq_limit": m.robot.dq_limit}  # infinite where there is none
-    wrong += [name for name, x in limits.items() if np.isnan(x).any()]
-    wrong += [f"effects {f.label}" for f in m.effects if not all(math.isfinite(x) for x in f.values.values())]
-    wrong += [f"sets.{k}" for k, s in m.sets.items() if not (0.0 < s.dt <= s.horizon <= MOST_STEPS * s.dt < math.inf)]
-    if wrong:
-        raise ModelFileError(f"{path}: {', '.join(wrong)} holds what is no number there; restore it or identify again")

@@ -71,8 +71,18 @@ def dynamics(abstraction: Abstraction) -> tuple[Any, Array]:
 
 
 def parts(abstraction: Abstraction, dt: float, speed: Array) -> int:
-    """Into how many parts a step of ``dt`` [s] is cut so that no rate of decay up to ``speed`` (n,) [rad/s] exceeds `STEP`."""
-    return int(lib.stopset_parts(dynamics(abstraction)[0], dt, float(np.max(speed))))
+    """Into how many parts a step of ``dt`` [s] is cut so that no rate of decay up to ``speed`` (n,) [rad/s] exceeds `STEP`.
+
+    Raises `NotCovered` where damping is so strong at that speed that the step would not end.
+    """
+    fastest = float(np.max(speed))
+    found = int(lib.stopset_parts(dynamics(abstraction)[0], dt, fastest))
+    if not np.isfinite(fastest) or found >= lib.STOPSET_MOST_PARTS:
+        raise NotCovered(
+            f"damping at {fastest:g} rad/s asks for {lib.STOPSET_MOST_PARTS} parts of a step of {dt:g} s or more; expected speeds and damping "
+            "of an arm: look for a reading or a coefficient that cannot be meant"
+        )
+    return found
 
 
 def two_simulations(abstraction: Abstraction, x0: Array, u: Array, dt: float, X0: Box, U: Box) -> tuple[Array, Array]:

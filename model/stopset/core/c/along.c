@@ -181,6 +181,7 @@ int64_t stopset_parts(const StopsetDynamics *s, double dt, double speed) {
         rate = slope > rate ? slope : rate;
     }
     const double most = dt * rate / stopset_corner_step;
+    if (!(most < STOPSET_MOST_PARTS)) return STOPSET_MOST_PARTS; /* nor is what is no number made into a whole one */
     const int64_t whole = (int64_t)most;
     return most <= 1.0 ? 1 : whole + (most > (double)whole);
 }

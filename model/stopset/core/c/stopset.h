@@ -497,7 +497,8 @@ STOPSET_API int stopset_ahead(const StopsetDynamics *dynamics, const StopsetSets
 STOPSET_API void stopset_read(int m, const StopsetSets *sets, double round, double *lo, double *hi);
 /* A step's rate of decay times its length. */
 STOPSET_API extern const double stopset_corner_step;
-/* Into how many parts a step of dt is cut so that no rate of decay up to `speed` [rad/s] is too fast for it. */
+#define STOPSET_MOST_PARTS 1000000
+/* Into how many parts a step of dt is cut so that no rate of decay up to `speed` [rad/s] is too fast for it; STOPSET_MOST_PARTS are not enough. */
 STOPSET_API int64_t stopset_parts(const StopsetDynamics *dynamics, double dt, double speed);
 /* Corners z (N, 2n) of decoupled joints one step of h [s] on under u (n,); none gets faster than `most` [rad/s]. */
 STOPSET_API void stopset_corners(const StopsetDynamics *dynamics, int64_t N, const double *u, double h, int64_t parts, double most, double *z);
