@@ -80,6 +80,11 @@ NOT_HERE = {  # line: reason, and the file or program whose absence is it
 }  # fmt: skip
 SAYS_NO = ("stopset compare arm.model.json --data other.parquet --report compare.html",)  # an effect is missing: exit code 1
 
+ONCE = (
+    "stopset identify-fleet arms --out models --workers 8",
+    "python benchmarks/reference_pages.py",
+)  # on several pages, and dear
+
 
 # ---- what a page says ------------------------------------------------------------------------------------------------
 
@@ -119,7 +124,8 @@ ALL = {line for lines in LINES.values() for line in lines}
 
 
 def run_here(page: str) -> list[str]:
-    return [x for x in LINES[page] if x not in ELSEWHERE and x not in NOT_HERE]
+    before = {x for p in list(LINES)[: list(LINES).index(page)] for x in LINES[p] if x in ONCE}
+    return [x for x in LINES[page] if x not in ELSEWHERE and x not in NOT_HERE and x not in before]
 
 
 def promised(words: list[str]) -> list[str]:
@@ -196,15 +202,13 @@ def arm(place: Place, target: str) -> None:
 
 
 def arms(place: Place, target: str) -> None:
+    """Two arms, one of which was recorded again later."""
     for name in ("left", "right"):
         there = Place(place.kit, place.folder / target / name, place.stack)
         (there.folder / "later").mkdir(parents=True)
-        for file, kind in (
-            ("robot.urdf", "arm.urdf"),
-            ("recordings.parquet", "recordings.parquet"),
-            ("later/o.parquet", "other.parquet"),
-        ):
-            FILES[kind](there, file)
+        FILES["arm.urdf"](there, "robot.urdf")
+        FILES["recordings.parquet"](there, "recordings.parquet")
+    FILES["other.parquet"](there, "later/other.parquet")
 
 
 def configuration(place: Place, target: str, more: str = "") -> None:
@@ -340,6 +344,9 @@ HERE: dict[str, Callable[[Place], str]] = {  # what a line says, and what stands
     "--watch-s 3600": lambda place: "--watch-s 2 --each-s 1",
 }
 LISTENS = re.compile(r"stopset (watch|reset|fleet|rollout) (?!.*--(connect|config))")  # on a port that is everybody's
+BESIDE = re.compile(
+    r"stopset (monitor|watch|reset|fleet|rollout) |.* --scheduler"
+)  # what needs, or is, something that goes on running
 SERVES = re.compile(r"stopset (workbench|fleet|watch(?!.*--check))\b")
 
 
@@ -412,8 +419,11 @@ def place(kit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 @pytest.mark.parametrize("page", [p for p in LINES if run_here(p)])
 def test_every_command_of_a_page_runs(page: str, place: Place) -> None:
     place.page = page
-    for line in run_here(page):
+    lines = run_here(page)
+    for k, line in enumerate(lines):
         type_line(place, line)
+        if not any(map(BESIDE.match, lines[k + 1 :])):
+            place.stack.close()
 
 
 @pytest.mark.slow
