@@ -8,14 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from stopset.artifact import load_model, save_model
+from stopset.offline.campaign.settings import settings_of
 from stopset.offline.campaign.survey import survey
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.question import common_lags, question
 from stopset.offline.nominal.nominal import LOW_PASS
+from stopset.offline.revise.revise import add
 from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import found_pairs
-from one_answer import contradictions
+from one_answer import campaign, contradictions
 
 MANY = (5.0,) * 8  # [s] motions enough for some to be held out from a model's sets
 
@@ -51,3 +55,18 @@ def test_a_low_pass_is_no_lag() -> None:
     own = {"what": "lag", "joint": "lift", "value": 0.02, "std": 1e-3, "unit": "s"}
     low_pass = {"what": LOW_PASS, "joint": None, "value": 2.0, "std": 0.05, "unit": "Hz"}
     assert common_lags([low_pass, lag, own]) == (lag,)
+
+
+def test_an_effect_answers_for_no_friction_that_the_evidence_chooses_beside_it(tmp_path: Path) -> None:
+    """Beside a true offset the evidence spoke for a cubic law that widens U by 13 %; without the offset it did not."""
+    case = next(c for c in found_pairs.CASES if c.name == "later asymmetric_coulomb upright")
+    _, model, data, _ = found_pairs.made("lwa4p", case, 53252)
+    done = add(model, ["asymmetric_coulomb:arm_1_joint"], campaign(data))
+    assert done.model is not None and done.helps
+    key = "sum_U_width_without_margin"
+    assert done.after[key] <= (1 + limit.WIDER) * done.before[key]
+    assert not {"cubic_viscous:arm_1_joint"} & {f.label for f in done.model.effects}
+    # what decided stands in the file, and comes back as it was
+    save_model(done.model, tmp_path / "m.json")
+    settings = settings_of(load_model(tmp_path / "m.json"))
+    assert isinstance(settings.friction_among, tuple) and "cubic_viscous:arm_1_joint" not in settings.friction_among

@@ -24,7 +24,7 @@ ARMS = ("hall/cell1/arm", "hall/cell2/arm")
 DELIVER = """#!/bin/sh
 # new names first, then both in place, then read it
 set -e
-cp "$2" "$1/m.json.sig.new"; cp "$3" "$1/m.json.new"
+cp "$3" "$1/m.json.sig.new"; cp "$2" "$1/m.json.new"
 mv "$1/m.json.sig.new" "$1/m.json.sig"; mv "$1/m.json.new" "$1/m.json"
 kill -HUP "$(cat "$1/pid")"
 """
@@ -38,7 +38,7 @@ class Hall:
     connect: str
 
     def words(self, name: str, *more: str) -> list[str]:
-        deliver = f"{self.folder}/deliver.sh {self.folder}/{{cell}} {{signature}} {{model}}"
+        deliver = f"{self.folder}/deliver.sh {self.folder}/{{cell}} {{model}} {{signature}}"
         seconds = ("--watch-s", "3", "--each-s", "1.5", "--connect", self.connect)
         model = str(self.folder / f"{name}.json")
         return ["rollout", model, "--canary", ARMS[0], "--arms", "hall/*/*", "--deliver", deliver, *seconds, *more]
@@ -48,6 +48,30 @@ class Hall:
 
     def sha256(self, name: str) -> str:
         return load_model(self.folder / f"{name}.json").sha256
+
+
+def cells(stack: contextlib.ExitStack, folder: Path, connect: str, arms: tuple[str, ...], model: str, recording: str) -> Fleet:
+    """A router, and for every arm a monitor with the signed ``model`` in a folder named as its cell, and the arm, moving as recorded."""
+    router = ZenohLink(mode="router", listen=[connect])
+    stack.callback(router.close)
+    for arm in arms:
+        site, cell, name = arm.split("/")
+        there = folder / cell
+        there.mkdir()
+        for suffix in ("", ".sig"):
+            (there / f"m.json{suffix}").write_bytes((folder / f"{model}{suffix}").read_bytes())
+        (there / "c.toml").write_text(
+            f'model = "m.json"\nsite = "{site}"\ncell = "{cell}"\narm = "{name}"\ndata_id = 7\n[joint_states]\nkey = "{arm}/joint_states"\n'
+            f'cycle_s = 0.004\n[zenoh]\nmode = "client"\nlisten = []\nconnect = ["{connect}"]\n[publish]\nvalid_for_ms = 1000\nstale_ms = 2000\n'
+            '[stops]\ncategories = ["0"]\n[signed]\nkeys = ["../release.pub"]\n'
+        )
+        monitor = stack.enter_context(running("monitor", "--config", str(there / "c.toml")))
+        (there / "pid").write_text(str(monitor.pid))
+        to = ("--to", f"zenoh:{connect}", "--key", f"{arm}/joint_states", "--loop")
+        stack.enter_context(running("replay", str(folder / recording), *to))
+    fleet = Fleet()
+    router.subscribe("*/*/*/stopset/state/json", fleet.take_json)
+    return fleet
 
 
 @pytest.fixture
@@ -64,25 +88,7 @@ def hall(tmp_path: Path) -> Iterator[Hall]:
     (tmp_path / "deliver.sh").write_text(DELIVER)
     (tmp_path / "deliver.sh").chmod(0o755)
     with contextlib.ExitStack() as stack:
-        router = ZenohLink(mode="router", listen=[connect])
-        stack.callback(router.close)
-        for arm in ARMS:
-            folder = tmp_path / arm.split("/")[1]
-            folder.mkdir()
-            for suffix in ("", ".sig"):
-                (folder / f"m.json{suffix}").write_bytes((tmp_path / f"old.json{suffix}").read_bytes())
-            site, cell, name = arm.split("/")
-            (folder / "c.toml").write_text(
-                f'model = "m.json"\nsite = "{site}"\ncell = "{cell}"\narm = "{name}"\ndata_id = 7\n[joint_states]\nkey = "{arm}/joint_states"\n'
-                f'cycle_s = 0.004\n[zenoh]\nmode = "client"\nlisten = []\nconnect = ["{connect}"]\n[publish]\nvalid_for_ms = 1000\nstale_ms = 2000\n'
-                '[stops]\ncategories = ["0"]\n[signed]\nkeys = ["../release.pub"]\n'
-            )
-            monitor = stack.enter_context(running("monitor", "--config", str(folder / "c.toml")))
-            (folder / "pid").write_text(str(monitor.pid))
-            to = ("--to", f"zenoh:{connect}", "--key", f"{arm}/joint_states", "--loop")
-            stack.enter_context(running("replay", str(tmp_path / "motion.parquet"), *to))
-        fleet = Fleet()
-        router.subscribe("*/*/*/stopset/state/json", fleet.take_json)
+        fleet = cells(stack, tmp_path, connect, ARMS, "old.json", "motion.parquet")
         assert wait(lambda: [r["word"] for r in fleet.rows()] == ["OK", "OK"], 60.0), fleet.rows()
         yield Hall(tmp_path, connect)
 

@@ -118,10 +118,11 @@ def _motor(run: Run, known: tuple[Fitted, ...]) -> NominalPart:
     chosen: tuple[Gain, ...] = ()
     if settings.friction == "evidence":
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
-        chosen = choose(cad, trials, len(set(found.motion.values())), [e for e in asked if ":" not in e], barred, prepared)
+        everywhere, among = [e for e in asked if ":" not in e], settings.friction_among
+        chosen = choose(cad, trials, len(set(found.motion.values())), everywhere, barred, prepared, among)
     laws = tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen))))
     nominal = identify_nominal(cad, trials, laws, settings=prepared)
-    strange = check_torque(cad, run.meta, nominal.data)
+    strange = check_torque(cad, run.meta, nominal.data, nominal.delay)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")

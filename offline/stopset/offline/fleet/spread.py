@@ -12,7 +12,7 @@ from stopset.offline.fleet.arms import ArmAnswer, ArmFolder, examined
 def answers(arms: Sequence[ArmFolder], scheduler: str | None = None, workers: int = 0) -> Iterator[ArmAnswer]:
     """Each arm's answer as it is found; the same whoever finds it.
 
-    ``scheduler``: address of a Dask cluster whose workers read the same files; else ``workers`` processes of this machine, 0: this
+    ``scheduler``: address of a Dask cluster whose workers read the same files; else at most ``workers`` processes of this machine, 0: this
     process. Raises `StopsetError` where there is no such cluster.
     """
     if scheduler is not None:
@@ -22,8 +22,9 @@ def answers(arms: Sequence[ArmFolder], scheduler: str | None = None, workers: in
         from distributed import Client, LocalCluster
 
         local = LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50
-        )
+            n_workers=min(workers, len(arms)), threads_per_worker=1, processes=True, host="127.0.0.1",
+            dashboard_address=None, silence_logs=50,
+        )  # fmt: skip
         with local, Client(local, set_as_default=False) as client:
             yield from _spread(client, arms)
     else:

@@ -63,11 +63,12 @@ def choose(
     asked: Sequence[str] = (),
     barred: Sequence[str] = (),
     settings: Preprocessing | None = None,
+    among: tuple[str, ...] | None = None,
 ) -> tuple[Gain, ...]:
     """The laws that ``trials`` ask for beside `base` friction and those ``asked`` for, none of them ``barred`` (``effect:joint``
-    or ``effect``); ``motions``: independent ones in the trials."""
+    or ``effect``), all ``among`` these (``effect:joint``; None: any); ``motions``: independent ones in the trials."""
     laws = [x for x in usual() if x not in asked and x not in barred]
-    if not laws:
+    if not laws or among == ():
         return ()
     whole = motions >= FOLDS
 
@@ -85,7 +86,7 @@ def choose(
     ladder = _Ladder(robot, data, richest)
     allowed = {
         (j, x): p for j in range(robot.n) for x in laws
-        if f"{x}:{robot.joints[j]}" not in barred and len(p := ladder.places(j, x))
+        if (name := f"{x}:{robot.joints[j]}") not in barred and (among is None or name in among) and len(p := ladder.places(j, x))
     }  # fmt: skip
     return tuple(ladder.retained(ladder.whole_arm(laws, allowed), allowed))
 

@@ -22,9 +22,9 @@ from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import own
-from stopset.offline.identify.pipeline import Keep, identified
+from stopset.offline.identify.pipeline import Identification, Keep, identified
 from stopset.offline.revise.held_out import halves
-from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, by_evidence, by_simulation, retained_effects
+from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, Judgement, by_evidence, by_simulation, retained_effects
 from stopset.progress import Progress, silent
 from stopset.reach.stops import stop
 from stopset.robot import Robot
@@ -32,6 +32,8 @@ from stopset.robot import Robot
 if TYPE_CHECKING:
     from stopset.offline.conform.gather import RetainedSums
     from stopset.offline.identify.signals_file import RetainedSignals
+
+WIDTHS = ("sum_U_width", "sum_U_width_without_margin")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +78,12 @@ def add(
     taken = [j for j in verdict.judged if not j.why]
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
-    progress("identifying the new revision")
-    found = identified(robot, campaign, verdict.settings, progress, known=verdict.known, keep=keep)
+    found, figures, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
     fresh = found.model
     progress("bounding stops before and after")
-    before = (dict(model.revisions[-1].after) if model.revisions else {}) | verdict.first | stop_figures(model, fresh)
-    if not own(model, campaign.meta):
-        progress("identifying these recordings without it")
-        before |= _widths_without(model, campaign, settings)
+    before = figures | verdict.first | stop_figures(model, fresh)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
     after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
-    refused = "" if force else widened(before, after)
     if refused:
         judged = tuple(replace(j, helps=False, why=j.why or refused) for j in verdict.judged)
         return Revised(None, before, after, judged, verdict.words)
@@ -96,14 +93,39 @@ def add(
     return Revised(revised, before, after, verdict.judged, verdict.words, found.retained)
 
 
-def _widths_without(model: Model, campaign: Campaign, settings: Settings) -> dict[str, float]:
-    """Widths of U that recordings of another day have without what is added; infinite where no sets enclose them."""
-    keys = ("sum_U_width", "sum_U_width_without_margin")
+def _revision(
+    model: Model, campaign: Campaign, verdict: Judgement, progress: Progress, *, force: bool, keep: Keep
+) -> tuple[Identification, dict[str, float], str]:
+    """The new revision, figures of the model (widths of U: of the same recordings) without what is added, and why it is refused.
+
+    What is added is to answer for the widths, not friction that the evidence happens to choose otherwise beside it: a revision
+    that is wider is identified again with laws among those that there are without it.
+    """
+    robot = model.robot.as_described
+    progress("identifying the new revision")
+    found = identified(robot, campaign, verdict.settings, progress, known=verdict.known, keep=keep)
+    without: Model | None = model
+    figures = dict(model.revisions[-1].after) if model.revisions else {}
+    if not own(model, campaign.meta):
+        progress("identifying these recordings without it")
+        without = _plain(model, campaign)
+        figures |= {key: without.revisions[-1].after[key] if without else float("inf") for key in WIDTHS}
+    refused = "" if force else widened(figures, found.model.revisions[-1].after)
+    among, chosen = (() if m is None else tuple(m.provenance.get("chosen", ())) for m in (without, found.model))
+    if refused and not set(chosen) <= set(among):
+        progress("identifying it with the friction that there is without it")
+        alike = replace(verdict.settings, friction_among=among)
+        found = identified(robot, campaign, alike, progress, known=verdict.known, keep=keep)
+        refused = widened(figures, found.model.revisions[-1].after)
+    return found, figures, refused
+
+
+def _plain(model: Model, campaign: Campaign) -> Model | None:
+    """A model of recordings of another day without what is added; None where no sets enclose them."""
     try:
-        plain = identified(model.robot.as_described, campaign, settings, silent, known=retained_effects(model)).model
+        return identified(model.robot.as_described, campaign, settings_of(model), silent, known=retained_effects(model)).model
     except NotConformant:
-        return dict.fromkeys(keys, float("inf"))
-    return {key: plain.revisions[-1].after[key] for key in keys}
+        return None
 
 
 def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
