@@ -178,6 +178,26 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     assert any("as if about" in text for text in check_files(arm(), campaign.meta, campaign.trials(), mixed=True))
 
 
+def test_files_of_two_clocks_make_no_model(tmp_path: Path) -> None:
+    """Torque 30 ms late in one of three files: the mean of their lags is true of none.  In one file alone it is taken out."""
+    paths = [tmp_path / f"{name}.parquet" for name in ("first", "second", "late")]
+    for k, path in enumerate(paths):
+        r = moving(Truth(arm()), k, 24.0 - k, 1.0, seed=11)
+        if path.stem == "late":
+            r = replace(r, tau=np.stack([np.interp(r.t - 0.03, r.t, x) for x in r.tau.T], axis=1))
+        write_recordings(path, META, [r])
+    last = [f for i in inspect_recordings(paths, arm()) for f in i.findings if f.kind == "contradiction"]
+    assert len(last) == 1 and last[0].severity == "error" and "late.parquet" in last[0].seen and "behind" in last[0].seen
+    campaign = campaign_of(arm(), paths)
+    with pytest.raises(
+        RecordingError, match=r"the torque of late.parquet is 30.* behind the motion, .*; expected one clock: .*--mixed"
+    ):
+        check_files(arm(), campaign.meta, campaign.trials(), mixed=False)
+    assert check_files(arm(), campaign.meta, campaign.trials(), mixed=True)[0].endswith("expected one clock")
+    alone = identify_nominal(arm(), read_recordings(paths[2], arm()))
+    assert alone.delay_applied == pytest.approx(-0.03, abs=0.005) and any("the sets hold the lag" in note for note in alone.notes)
+
+
 def test_what_a_constant_mass_matrix_lacks_is_taken_off_where_that_helps(tmp_path: Path) -> None:
     """Fast motions of all joints: U need not hold the Coriolis torque.  A slow arm keeps the plainer input."""
     (tmp_path / "robot.urdf").write_text(arm().urdf)

@@ -12,6 +12,7 @@ import pytest
 
 from stopset.artifact import Model
 from stopset.effects import Fitted
+from stopset.errors import RecordingError
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
@@ -140,6 +141,21 @@ def test_a_lag_of_all_joints_that_identification_took_out_is_told_and_no_name(pr
     assert found.verdict == "none" and not found.claims
     (out,) = found.taken_out
     assert out["joint"] is None and out["value"] == pytest.approx(-0.012, abs=0.002)
+
+
+@pytest.mark.parametrize("late", [-0.03, 0.04])
+def test_torque_of_another_clock_than_the_models_is_said_and_no_name(program: Pair, late: float) -> None:
+    """A logger that stamps torque and motion apart makes no delay of three drives, no worn gear, no friction that builds up slowly."""
+    found, _ = diagnose_model(program.model, _logged(program.scenario, LATER, late=late))
+    assert found.verdict == "none" and not found.claims and not found.changed
+    (out,) = found.taken_out
+    assert out["joint"] is None and out["value"] == pytest.approx(-late, abs=0.003)
+    assert any(("behind" if late > 0 else "before") in note and "one clock" in note for note in found.notes)
+
+
+def test_of_torque_farther_off_than_can_be_searched_nothing_is_named(program: Pair) -> None:
+    with pytest.raises(RecordingError, match=r"all joints is more than 60 ms late .* one clock"):
+        diagnose_model(program.model, _logged(program.scenario, LATER, late=0.1))
 
 
 def test_a_shared_motor_that_leaves_no_trace_is_none(program: Pair) -> None:

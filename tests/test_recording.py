@@ -14,6 +14,7 @@ import pytest
 
 import stopset.recording.reader as reader
 from stopset.errors import RecordingError
+from stopset.offline.campaign.source import campaign_of
 from stopset.recording import Meta, Recording, read_meta, read_recordings, stream_recordings, write_recordings
 from synthetic import arm, columns, meta, names, recordings, save, save_trials
 
@@ -95,6 +96,43 @@ def test_csv_without_metadata_is_taken_as_motor_torque_with_a_warning(trials: li
     got = read_meta(tmp_path / "b.csv")
     assert got.effort == "motor_torque"
     assert "taken as motor torque" in got.warnings[0]
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_times_of_day_are_seconds(trials: list[Recording], tmp_path: Path, unit: str) -> None:
+    """As a table of dates writes them, into Parquet and as text."""
+    table = pa.table(columns(trials, JOINTS))
+    t = np.round(np.asarray(table["t"]) * 1e9).astype(np.int64) + 1_767_225_600 * 10**9  # the year 2026
+    dated = table.set_column(
+        table.column_names.index("t"), "t", pa.array(t.astype("datetime64[ns]")).cast(pa.timestamp(unit), safe=False)
+    )
+    pq.write_table(dated, tmp_path / "a.parquet")
+    pacsv.write_csv(dated, tmp_path / "a.csv")
+    for path in (tmp_path / "a.parquet", tmp_path / "a.csv"):
+        for x, y in zip(read_recordings(path), trials, strict=True):
+            np.testing.assert_allclose(
+                x.t - 1_767_225_600, y.t, rtol=0, atol=1e-6
+            )  # a double of seconds since 1970 holds 0.24 us
+            assert np.array_equal(x.q, y.q)
+
+
+def test_a_recording_given_twice_is_no_second_motion(trials: list[Recording], tmp_path: Path) -> None:
+    a = save_trials(tmp_path / "a.parquet", trials, JOINTS)
+    (tmp_path / "copy.parquet").write_bytes(a.read_bytes())
+    for paths in ([a, a], [a, tmp_path / "copy.parquet"]):
+        with pytest.raises(RecordingError, match="the same recording, byte for byte"):
+            read_recordings(paths)
+        with pytest.raises(RecordingError, match="the same recording, byte for byte"):
+            campaign_of(arm(JOINTS), paths)
+
+
+def test_currents_without_their_constants_are_refused_with_what_to_write(trials: list[Recording], tmp_path: Path) -> None:
+    table = pa.table(columns(trials, JOINTS))
+    pacsv.write_csv(
+        table.rename_columns([f"i_{c[4:]}" if c.startswith("tau_") else c for c in table.column_names]), tmp_path / "a.csv"
+    )
+    with pytest.raises(RecordingError, match=r"has currents, i_.* beside it in a.json: .*motor_current.*torque_constant"):
+        read_recordings(tmp_path / "a.csv")
 
 
 def test_two_files_are_one_campaign(trials: list[Recording], tmp_path: Path) -> None:
@@ -246,5 +284,5 @@ def test_speeds_that_nobody_recorded_are_differences_of_angles(trials: list[Reco
 
 def test_the_torque_that_is_missing_is_named(trials: list[Recording], tmp_path: Path) -> None:
     as_found(trials, tmp_path / "a.csv", (f"tau_{JOINTS[2]}",))
-    with pytest.raises(RecordingError, match=f"no tau_{JOINTS[2]}; expected"):
+    with pytest.raises(RecordingError, match=f"no tau_{JOINTS[2]}, and no metadata"):
         read_meta(tmp_path / "a.csv")

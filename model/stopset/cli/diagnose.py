@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         say(f"note: {note}")
     for out in found.taken_out:
         where = out["joint"] or "all joints"
-        say(f"taken out by identification: {out['what']}, {out['value']:.4g} +- {out['std']:.2g} {out['unit']} ({where})")
+        say(f"taken out beforehand: {out['what']}, {out['value']:.4g} +- {out['std']:.2g} {out['unit']} ({where})")
     for rank, r in enumerate(found.ranked, start=1):
         say(
             f"{rank}. {r.label}: score {r.score:.0f}, held-out error {r.error_before:.3g} -> {r.error_after:.3g} {r.unit}. {r.says}"

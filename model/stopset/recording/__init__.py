@@ -1,6 +1,6 @@
 """Recordings of a robot: the one format in, checked at the door."""
 
-from stopset.recording.reader import read_meta, read_recordings, stream_recordings
+from stopset.recording.reader import read_meta, read_recordings, sources_of, stream_recordings
 from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, SuiteKey, counted, suite_label
 from stopset.recording.writer import write_recordings
 
@@ -14,6 +14,7 @@ __all__ = [
     "counted",
     "read_meta",
     "read_recordings",
+    "sources_of",
     "stream_recordings",
     "suite_label",
     "write_recordings",

@@ -28,6 +28,7 @@ from stopset.types import Array
 from stopset.unpacked import Allowance, TooLargeError
 
 BATCH_ROWS = 65_536
+TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s] of a time of day
 PAUSE = 1.0  # [s] between samples from which on nobody was recording
 SLOWER = 10.0  # times the usual distance of samples, of a slow clock's pause
 FEWEST_STAMPS = 30  # of a trial whose clock is looked at
@@ -58,10 +59,10 @@ def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
             reader = open_csv(path, _is_signal)
             side = path.with_suffix(".json")
             meta = {b"recording": side.read_bytes()} if side.exists() else None
-            return reader.schema.with_metadata(meta), iter(reader)
+            return _in_seconds(reader.schema.with_metadata(meta), iter(reader))
         file = pq.ParquetFile(path, pre_buffer=False)  # else all of the file is read ahead, and memory grows with it
         Allowance.of(path.stat().st_size, most=sys.maxsize).take(_unpacked_size(file.metadata))
-        return file.schema_arrow, file.iter_batches(batch_size=BATCH_ROWS)
+        return _in_seconds(file.schema_arrow, file.iter_batches(batch_size=BATCH_ROWS))
     except TooLargeError as e:
         raise RecordingError(f"{path} {e}") from e
     except (pa.ArrowInvalid, pa.ArrowException, OSError) as e:
@@ -72,6 +73,21 @@ def _open(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
         raise RecordingError(
             f"{path} is no text in UTF-8 ({e.reason} at byte {e.start}); expected a CSV table: export it as UTF-8"
         ) from e
+
+
+def _in_seconds(schema: pa.Schema, batches: Iterator[pa.RecordBatch]) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
+    """Column t in seconds where it holds times of day, as tables of dates and times do; any other as it is."""
+    at = schema.get_field_index("t")
+    kind = schema.field(at).type if at >= 0 else None
+    if kind is None or not (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
+        return schema, batches
+    tick = TICKS[kind.unit]
+
+    def seconds(batch: pa.RecordBatch) -> pa.RecordBatch:
+        t = np.asarray(batch.column(at).cast(pa.int64()).to_numpy(zero_copy_only=False), dtype=float) * tick
+        return batch.set_column(at, pa.field("t", pa.float64()), pa.array(t))
+
+    return schema.set(at, pa.field("t", pa.float64())), map(seconds, batches)
 
 
 def _unpacked_size(file: pq.FileMetaData) -> int:
@@ -105,9 +121,11 @@ def _meta(path: Path, schema: pa.Schema) -> Meta:
     if raw is None:
         lacking = [f"tau_{j}" for j in joints if f"tau_{j}" not in columns]
         if lacking:
+            where = f"beside it in {path.with_suffix('.json').name}" if path.suffix.lower() == ".csv" else "in the file"
+            current = f" (it has currents, i_{joints[0]}...)" if f"i_{joints[0]}" in columns else ""
             raise RecordingError(
-                f"{path} has no metadata 'recording' and no {', '.join(lacking)}; expected the effort kind and unit: "
-                "add the metadata (effort, velocity, clock, rate_hz)"
+                f"{path} has no {', '.join(lacking)}{current}, and no metadata 'recording'; expected torque [N m], or currents and metadata "
+                f'{where}: {{"effort": "motor_current", "torque_constant": [N m/A of each joint, on the link side]}}'
             )
         note = (
             f"{path.name} has no metadata: taken as motor torque, {'derived' if derived else 'measured'} velocity, recorded clock"
@@ -181,6 +199,19 @@ def read_meta(path: str | Path) -> Meta:
     """Metadata of one file, from its header; the whole file is read for its SHA-256 only."""
     (p,) = _paths(path)
     return replace(_meta(p, _open(p)[0]), sources=((p.name, _sha256(p)),))
+
+
+def sources_of(metas: Sequence[Meta]) -> tuple[tuple[str, str], ...]:
+    """Names and SHA-256 of all files. Raises `RecordingError` for one given twice: a motion that is counted again vouches for itself."""
+    seen: dict[str, str] = {}
+    for name, sha256 in (s for m in metas for s in m.sources):
+        if sha256 in seen:
+            raise RecordingError(
+                f"{name} and {seen[sha256]} are the same recording, byte for byte; expected each once, as a motion that is counted "
+                "twice would vouch for itself: leave one out"
+            )
+        seen[sha256] = name
+    return tuple((name, sha256) for sha256, name in seen.items())
 
 
 def _check_robot(path: Path, meta: Meta, robot: Robot) -> None:
@@ -364,6 +395,7 @@ def read_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | Non
     """All trials of the files in memory; see `stream_recordings` for one at a time and for what is checked."""
     files = _paths(paths)
     metas = [read_meta(p) for p in files]
+    sources = sources_of(metas)
     first = metas[0]
     for p, m in zip(files[1:], metas[1:], strict=True):
         if m.effort != first.effort:
@@ -372,7 +404,7 @@ def read_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | Non
     meta = replace(
         first,
         joints=joints,
-        sources=tuple(s for m in metas for s in m.sources),
+        sources=sources,
         warnings=tuple(w for m in metas for w in m.warnings),
         said=tuple(c for m in metas for c in m.said),
     )

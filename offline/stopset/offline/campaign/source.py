@@ -10,7 +10,7 @@ from typing import NamedTuple
 from stopset.errors import RecordingError
 from stopset.offline.campaign.survey import Survey, Tally, tallied
 from stopset.offline.campaign.trials import ReadOnce, Source
-from stopset.recording import Meta, Recording, read_meta, stream_recordings
+from stopset.recording import Meta, Recording, read_meta, sources_of, stream_recordings
 from stopset.robot import Robot
 
 
@@ -72,9 +72,7 @@ def common_meta(paths: Sequence[str | Path]) -> Meta:
     kinds = {m.effort for m in metas}
     if len(kinds) != 1:
         raise RecordingError(f"the recordings hold {' and '.join(sorted(kinds))}; one identification takes one kind of torque")
-    return replace(
-        metas[0], sources=tuple(s for m in metas for s in m.sources), warnings=tuple(w for m in metas for w in m.warnings)
-    )
+    return replace(metas[0], sources=sources_of(metas), warnings=tuple(w for m in metas for w in m.warnings))
 
 
 def joined(old: Meta, paths: Sequence[str | Path]) -> Meta:

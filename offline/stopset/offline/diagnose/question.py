@@ -12,8 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
+from stopset.effects.selection import usual_friction
 from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import TorqueModel
@@ -22,9 +25,16 @@ from stopset.offline.diagnose.evidence.baseline import DESCRIBED, baseline, sett
 from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.rows.sampling import in_step
 from stopset.offline.diagnose.standing import moves
-from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
+from stopset.offline.inspect.gate import check_torque
+from stopset.offline.nominal.delay import estimate_delay, lag_in_words, own_clock
+from stopset.offline.nominal.low_pass import a_minute, in_words, recorded_low_pass
+from stopset.offline.nominal.nominal import lag_entry
+from stopset.offline.nominal.normal_equations import accumulate
+from stopset.offline.nominal.prior import prior_of
 from stopset.recording import Recordings, SuiteKey
 from stopset.robot import Robot
+
+Lags = tuple[Mapping[str, Any], ...]  # entries of `lag_entry`
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +42,7 @@ class Inquiry:
     """``recordings`` as they are asked, against ``robot`` and, of other recordings than the model's own, what is ``known`` of it.
 
     ``held``: suites that are not asked, because a model's sets are judged on them; ``fitted``: effects that stand beside every
-    hypothesis; ``against``, ``notes``: for people; ``taken_out``: what identification took off, before anything was asked.
+    hypothesis; ``against``, ``notes``: for people; ``taken_out``: what was taken off before anything was asked.
     """
 
     robot: Robot
@@ -57,18 +67,40 @@ def question(model: Model, recordings: Recordings) -> Inquiry:
     """
     base = baseline(model, recordings)
     own = base.known is None
-    taken_out = tuple(model.provenance.get("taken_out", ()))
     powered = any(moves(r) and r.phase in POWERED for r in recordings)
     held = survey(lambda: recordings.trials).held_out if powered else frozenset()
     learnt = [r for r in recordings if moves(r) and r.suite_key not in held]
+    by_model = tuple(model.provenance.get("taken_out", ()))
+    asked = replace(recordings, trials=tuple(learnt))
+    taken_out, late = (by_model, ()) if own else _lag_of(base.robot, asked, common_lags(by_model))
     cutoff = recorded_low_pass(model.robot.as_described, learnt)
     filtered = (
         (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
     )
     return Inquiry(
         base.robot, in_time(recordings, model, cutoff, taken_out), held, settled(model) if own else model.effects, base.known,
-        base.against, (*base.notes, *filtered), taken_out if own else common_lags(taken_out),
+        base.against, (*base.notes, *late, *filtered), taken_out,
     )  # fmt: skip
+
+
+def _lag_of(robot: Robot, recordings: Recordings, usual: Lags) -> tuple[Lags, tuple[str, ...]]:
+    """What all joints' torque lags the motion in recordings that are not the model's own: as in the model's, unless these show another.
+
+    Raises `RecordingError` where it is farther off than can be searched: friction and inertia named from it would be false ones.
+    """
+    data = accumulate(robot, a_minute(recordings.trials), usual_friction())
+    found = estimate_delay(data, prior_of(robot))
+    if found.beyond:
+        check_torque(robot, recordings.meta, data, found)
+    value, std = sum(float(x["value"]) for x in usual), float(np.hypot.reduce([float(x["std"]) for x in usual])) if usual else 0.0
+    expected = replace(found, common=value, common_std=std)
+    if not own_clock(found, expected, 2 * found.hold):
+        return usual, ()
+    note = (
+        f"the torque of these recordings is {lag_in_words(found)} the motion at all joints, that of the model's own "
+        f"{lag_in_words(expected)} it: taken out before anything was asked; record torque and motion on one clock"
+    )
+    return (lag_entry(None, found.common, found.common_std),), (note,)
 
 
 def first_question(
@@ -96,6 +128,6 @@ def in_time(
     return in_step(recordings, -sum(float(x["value"]) for x in common_lags(taken_out)))
 
 
-def common_lags(taken_out: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
+def common_lags(taken_out: Sequence[Mapping[str, Any]]) -> Lags:
     """The lag of all joints, of what was taken out."""
     return tuple(x for x in taken_out if x["joint"] is None and x["unit"] == "s")

@@ -92,7 +92,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("preprocessing", preprocess, "IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE SEAM RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("recorded low-pass", low_pass, "QUIET CUTOFFS FINER KNOWN FILTER_LOWERS SECONDS PIECE TELLING_ROWS RELATIVE"),
-    ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW FINE"),
+    ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW SURE FALLS FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
     ("shared motors", pair_choice, "LOWERED LOOKED_AT"),
     ("friction laws", friction_choice, "GAINS LOADS NEVER"),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.inspect.findings import Finding
-from stopset.offline.nominal.delay import joint_reduced, lag_weights
+from stopset.offline.nominal.delay import Delay, joint_reduced, lag_in_words, lag_weights, own_clock
 from stopset.offline.nominal.fit import problem_of, residual
 from stopset.offline.nominal.nominal import Nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import TOGETHER, NormalEquations
@@ -22,6 +22,7 @@ from stopset.types import Array
 FAILS = 3.0  # times the error that each file leaves of itself: friction of another day leaves up to twice
 NOTABLE = 0.1  # of the torque, root mean square
 LOAD = 0.5  # of what fails that a load at the flange must explain to be named
+ALIGN = "put torque and motion on one clock, or identify these files apart"
 ROWS = 200  # filtered rows of a file, ten seconds: less shows too little of the arm to fail on another
 
 
@@ -90,29 +91,48 @@ class Dissent:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class OwnClock:
+    """File ``file`` has its torque ``lag`` after the motion at all joints, file ``first`` another: ``usual``."""
+
+    file: int
+    first: int
+    lag: Delay
+    usual: Delay
+
+    def seen(self, names: Sequence[str]) -> str:
+        """What is wrong, in words; ``names`` of all files."""
+        return f"the torque of {names[self.file]} is {lag_in_words(self.lag)} the motion, that of {names[self.first]} {lag_in_words(self.usual)} it"
+
+
 def contradictions(robot: Robot, names: Sequence[str], sums: Sequence[NormalEquations | None]) -> list[list[Finding]]:
     """Per file, what contradicts the one with the most samples; ``sums`` of motor torque, None where there are none."""
     out: list[list[Finding]] = [[] for _ in names]
     for d in dissents(robot, sums):
-        out[d.file].append(
-            Finding(
+        if isinstance(d, OwnClock):
+            found = Finding("contradiction", "error", None, d.seen(names), "one clock", ALIGN, d.lag.common)
+        else:
+            found = Finding(
                 "contradiction", "warning", d.joint, d.seen(names), f"files of one arm in one state, {d.least:.3g} N m off at most",
                 "identify them apart, or tell their conditions (--condition payload=..@FILE)", d.error,
-            )
-        )  # fmt: skip
+            )  # fmt: skip
+        out[d.file].append(found)
     return out
 
 
-def dissents(robot: Robot, sums: Sequence[NormalEquations | None]) -> list[Dissent]:
-    """Files that contradict the one with the most samples, each at its worst joint; ``sums`` as of `contradictions`."""
+def dissents(robot: Robot, sums: Sequence[NormalEquations | None]) -> list[Dissent | OwnClock]:
+    """Files that contradict the one with the most samples, by their clocks or at their worst joint; ``sums`` as of `contradictions`."""
     some = {k: d for k, d in enumerate(sums) if d is not None and d.rows_moving.sum(axis=0).max() >= ROWS and not d.compensated}
     if len(some) < 2:
         return []
     files = {k: _File.of(robot, d) for k, d in some.items()}
     first = max(files, key=lambda k: float(files[k].rows.sum()))
-    base, out = files[first], []
+    base, out = files[first], list[Dissent | OwnClock]()
     for k, f in files.items():
         if k == first:
+            continue
+        if own_clock(f.nominal.delay, base.nominal.delay, some[k].period):
+            out.append(OwnClock(k, first, f.nominal.delay, base.nominal.delay))
             continue
         error = f.error(base.nominal.theta)
         least = np.maximum(FAILS * np.maximum(f.own, base.own), NOTABLE * f.torque)

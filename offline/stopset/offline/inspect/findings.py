@@ -20,6 +20,8 @@ RATIOS = {  # dq over the derivative of q -> what it means
     180 / np.pi: "dq is in deg/s, q in rad",
     np.pi / 180: "q is in degrees, dq in rad/s",
     1000.0: "dq is in mrad/s or t in ms",
+    1e6: "t is in microseconds",
+    1e9: "t is in nanoseconds",
     0.001: "t is in ms or dq in rad/ms",
     60 / (2 * np.pi): "dq is in rpm",
     -1.0: "dq has the wrong sign",
@@ -349,6 +351,16 @@ def torque_delay(
         if significant(d, s, own):
             out.append(finding(name, d, s, "the other joints'", own))
     return out
+
+
+def torque_beyond(end: float) -> list[Finding]:
+    """All joints' torque farther from the motion than was searched, up to ``end`` [s]; 0: it is not."""
+    if not end:
+        return []
+    return [
+        Finding("torque_delay", "error", None, f"the torque of all joints is more than {abs(end) * 1e3:.0f} ms {'late' if end < 0 else 'early'} "
+                "against the motion", "torque and motion of one clock", "put them on one: such a lag looks like friction and inertia", end)
+    ]  # fmt: skip
 
 
 def torque_smoothed(cutoff: float) -> list[Finding]:

@@ -10,11 +10,22 @@ from itertools import groupby
 
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
-from stopset.offline.inspect.contradiction import dissents
-from stopset.offline.inspect.findings import RIGHT, RIGHT_TORN, Finding, clock, readings, saturation, torque_limits, velocity
+from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
+from stopset.offline.inspect.findings import (
+    RIGHT,
+    RIGHT_TORN,
+    Finding,
+    clock,
+    readings,
+    saturation,
+    torque_beyond,
+    torque_limits,
+    velocity,
+)
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.tally import SignalSums
+from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Meta, Recording
@@ -64,13 +75,14 @@ def check_readings(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> Non
     _refuse(unsound(robot, meta, trials), "nothing is named from these recordings")
 
 
-def check_torque(robot: Robot, meta: Meta, data: NormalEquations) -> tuple[str, ...]:
-    """Motor torque against the description's rigid body, from the sums of the nominal regression. Raises `RecordingError`.
+def check_torque(robot: Robot, meta: Meta, data: NormalEquations, lag: Delay) -> tuple[str, ...]:
+    """Motor torque, ``lag`` after the motion, against the description's rigid body, from the sums of the nominal regression.
 
-    What is strange but no error is returned in words.
+    What is strange but no error is returned in words. Raises `RecordingError`.
     """
     scale, std = torque_scales(robot, data)
-    _refuse(against_model(robot, meta, scale, std, RIGHT_TORN))
+    _refuse(against_model(robot, meta, scale, std, RIGHT_TORN))  # a wrong unit is no lag
+    _refuse(torque_beyond(lag.beyond))
     # other laws of friction, perhaps through a filter: `stopset inspect` need not have found the same
     strange = against_model(robot, meta, scale, std, RIGHT)
     return tuple(f"seen beside the fitted friction ({f.severity}): {f.says}" for f in strange if f.severity != "note")
@@ -89,14 +101,21 @@ def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed:
         if k < len(sums):
             sums[k] = accumulate(robot, some, usual_friction())
     found = dissents(robot, sums)
-    loaded = next((d for d in found if d.mass is not None), None)
+    late = next((d for d in found if isinstance(d, OwnClock)), None)
+    if late is not None and not mixed:
+        raise RecordingError(f"{late.seen(names)}; expected one clock: {ALIGN}, or say --mixed to take them as they are")
+    rest = [d for d in found if isinstance(d, Dissent)]
+    loaded = next((d for d in rest if d.mass is not None), None)
     if loaded is not None and not mixed:
         raise RecordingError(
             f"{loaded.joint}: {loaded.seen(names)}; expected files of one arm in one state, for a model of several holds all their "
             "differences in its sets: identify them apart, each with what it carries (--condition payload=KG@FILE), or say --mixed to "
             "take them as one"
         )
-    return tuple(f"inspect says (warning): {d.joint}: {d.seen(names)}; expected files of one arm in one state" for d in found)
+    clocks = tuple(f"inspect says (error): {d.seen(names)}; expected one clock" for d in found if isinstance(d, OwnClock))
+    return clocks + tuple(
+        f"inspect says (warning): {d.joint}: {d.seen(names)}; expected files of one arm in one state" for d in rest
+    )
 
 
 def _in_words(found: Iterable[Finding]) -> tuple[str, ...]:

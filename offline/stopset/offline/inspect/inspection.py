@@ -186,9 +186,13 @@ def _torque(
     against = against_model(robot, meta, *scales, detect.RIGHT_TORN if torn or compensated else detect.RIGHT)
     blamed = {f.joint for f in against}
     out = [*against, *(f for f in sign if f.joint not in blamed)]
-    if out or torn:
+    if torn or any(f.severity == "error" for f in out):
         return out
     delay = estimate_delay(data, prior_of(robot))
+    if delay.beyond and not compensated:  # what else is said of torque that belongs to another moment is none of it
+        return detect.torque_beyond(delay.beyond)
+    if out:
+        return out
     least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
     return detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least)
 

@@ -23,6 +23,8 @@ BLUNT = 0.005  # [s] joints with a larger standard error do not say where the mi
 CLOSE = 0.002  # [s] joints this near the middle, beside their errors, share the clock
 OWN = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 FEW = 3  # with fewer motions none can be left out
+SURE = 4.0  # standard errors from which on a lag is one, however blunt
+FALLS = 0.8  # of its sum of squares at no lag: an error that has fallen so far at the end of the search, and falls still, is of a lag beyond
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
 
 
@@ -31,7 +33,8 @@ class Delay:
     """``joint`` (n,) [s] best lag of each joint and ``std`` (n,) its standard error (inf: undetermined);
 
     ``common`` [s]: the lag all joints share, from clocks rather than from a single drive, and its ``common_std``;
-    ``hold`` [s]: the half sample expected of a held command.
+    ``hold`` [s]: the half sample expected of a held command; ``beyond`` [s]: the end of the search where the lag of all joints
+    lies farther out, else 0.
     """
 
     joint: Array
@@ -39,6 +42,12 @@ class Delay:
     common: float
     common_std: float
     hold: float
+    beyond: float = 0.0
+
+    @property
+    def sure(self) -> bool:
+        """Whether all joints share a lag that is none of chance."""
+        return abs(self.common) > SURE * self.common_std
 
 
 def has_own_lag(delay: Delay, period: float) -> NDArray[np.bool_]:
@@ -115,7 +124,7 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
     """
     n = data.layout.n
     hold = 0.5 * data.period if np.isfinite(data.period) else 0.0
-    best, std = np.full(n, np.nan), np.full(n, np.inf)
+    best, std, ends = np.full(n, np.nan), np.full(n, np.inf), np.zeros(n)
     for j in range(n):
         G = data.moving[:, j]
         if data.rows_moving[:, j].sum() < 60:
@@ -124,7 +133,7 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
         mean = np.zeros(G.shape[-1] - len(DELAYS))
         mean[: 10 * n + 1] = prior.mean[data.layout.index(j)[: 10 * n + 1]]
         profile = _profile(G.sum(axis=0), ridge, mean)
-        best[j] = _lowest(profile)
+        best[j], ends[j] = _lowest(profile), _end(profile)
         groups = [g for g in range(len(G)) if data.rows_moving[g, j] > 0]
         if not np.isfinite(best[j]):
             continue
@@ -137,7 +146,35 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
             m = len(groups)
             std[j] = np.sqrt((m - 1) / m * np.sum((left - left.mean()) ** 2))
     common, common_std = _common(best, std)
-    return Delay(best, std, common, common_std, hold)
+    return Delay(best, std, common, common_std, hold, 0.0 if np.isfinite(common_std) else _beyond(ends))
+
+
+def _end(profile: Array) -> float:
+    """The end [s] of the search towards which the error falls far, else 0."""
+    k = int(np.argmin(profile))
+    return float(FINE[k]) if k in (0, len(profile) - 1) and profile[k] < FALLS * profile[len(profile) // 2] else 0.0
+
+
+def _beyond(ends: Array) -> float:
+    """The end [s] that two joints or more agree on, or an arm's only one, and none gainsays."""
+    found = ends[ends != 0.0]
+    return float(found[0]) if len(found) >= min(2, len(ends)) and len(found) and (found == found[0]).all() else 0.0
+
+
+def lag_in_words(lag: Delay) -> str:
+    """`` ... the motion``: how late or early all joints' torque is."""
+    if lag.beyond:
+        return f"more than {abs(lag.beyond) * 1e3:.0f} ms {'behind' if lag.beyond < 0 else 'before'}"
+    return f"{abs(lag.common) * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms {'behind' if lag.common < 0 else 'before'}"
+
+
+def own_clock(one: Delay, other: Delay, period: float) -> bool:
+    """Whether the torque of some recordings lags the motion unlike that of others: stamps of two clocks; ``period`` [s]."""
+    if one.beyond != other.beyond:
+        return True
+    std = float(np.hypot(one.common_std, other.common_std))
+    least = max(OWN, 1.2 * period if np.isfinite(period) else 0.0)
+    return bool(np.isfinite(std) and abs(one.common - other.common) > max(least, SURE * std))
 
 
 def _common(best: Array, std: Array) -> tuple[float, float]:

@@ -35,7 +35,7 @@ RELATIVE = 1e-9  # of the largest direction: below, columns are told apart by ro
 
 def recorded_low_pass(robot: Robot, trials: Sequence[Recording]) -> float:
     """Cut-off [Hz] of the low-pass without phase that the recorded torque went through; 0 where the data show none."""
-    some = _some(trials)
+    some = a_minute(trials)
     if not some or not all(_quiet(r) for r in some):
         return 0.0
     plain = log_torque_error(robot, some, 0.0)
@@ -60,7 +60,7 @@ def in_words(cutoff: float) -> str:
     )
 
 
-def _some(trials: Sequence[Recording]) -> list[Recording]:
+def a_minute(trials: Sequence[Recording]) -> list[Recording]:
     """Pieces of moving trials, of `SECONDS` together, evenly over those there are."""
     pieces = []
     for r in trials:

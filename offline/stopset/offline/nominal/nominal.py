@@ -14,7 +14,7 @@ import numpy as np
 from stopset.effects import Effect, Fitted
 from stopset.effects.selection import base
 from stopset.errors import RecordingError
-from stopset.offline.nominal.delay import Delay, estimate_delay, has_own_lag, joint_reduced, lag_weights
+from stopset.offline.nominal.delay import OWN, Delay, estimate_delay, has_own_lag, joint_reduced, lag_weights
 from stopset.offline.nominal.fit import Fit, fit, leave_out
 from stopset.offline.nominal.floor import floor_of
 from stopset.offline.nominal.low_pass import KNOWN, in_words
@@ -26,7 +26,7 @@ from stopset.recording.types import Recording, Recordings
 from stopset.robot import Robot
 from stopset.types import Array
 
-DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is not applied
+DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is applied only where it is far larger than that
 LOW_PASS = "low-pass of the recorded torque, without phase"
 LOAD_PASSES = 1  # fits whose gravity the next one's load is computed with
 
@@ -94,8 +94,7 @@ class Nominal:
         if len(own) < len(self.joints):
             out.append((None, float(lag.common), float(lag.common_std)))
         out += [(self.joints[j], float(self.delay_applied[j]), float(lag.std[j])) for j in own]
-        said = "lag of the recorded torque against the motion"
-        late = tuple({"what": said, "joint": joint, "value": d, "std": std, "unit": "s"} for joint, d, std in out if d != 0.0)
+        late = tuple(lag_entry(*x) for x in out if x[1] != 0.0)
         cutoff = self.data.settings.low_pass
         return (
             late
@@ -117,6 +116,11 @@ class Nominal:
     def value(self, effect: str, joint: str) -> dict[str, float]:
         """Parameters of one effect at one joint; empty if it is not part of the model."""
         return next((dict(f.values) for f in self.friction if f.effect == effect and f.joint == joint), {})
+
+
+def lag_entry(joint: str | None, value: float, std: float) -> dict[str, Any]:
+    """What a model file says of a lag [s] that was taken out; ``joint`` None: of all."""
+    return {"what": "lag of the recorded torque against the motion", "joint": joint, "value": value, "std": std, "unit": "s"}
 
 
 def identify_nominal(
@@ -202,9 +206,14 @@ def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[De
     if data.recordings == 0:
         return lag, np.zeros(n), []
     found = f"{lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms"
-    if not lag.common_std <= DELAY_TRUSTED:
+    if not (lag.common_std <= DELAY_TRUSTED or lag.sure):
         return lag, np.zeros(n), [f"delay of torque against motion undetermined ({found}): none is assumed"]
-    notes = [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms)"]
+    held = (
+        ""
+        if abs(lag.common) < OWN
+        else "; predictions get the torque as it comes, and the sets hold the lag: record both on one clock"
+    )
+    notes = [f"delay of torque against motion {found}, taken out (a held command alone: {lag.hold * 1e3:.1f} ms){held}"]
     own = has_own_lag(lag, data.period)
     notes += [
         f"{data.layout.joints[j]}: its torque is {lag.joint[j] * 1e3:.1f} +- {lag.std[j] * 1e3:.1f} ms apart from the motion, unlike the "
