@@ -111,6 +111,7 @@ LEFT_OUT = (
     ("stopset.reach.stops.words", "*", WORDS),
     ("stopset.recording.csv_table", "LINES LONGEST", BUDGET),
     ("stopset.recording.reader", "BATCH_ROWS", BUDGET),
+    ("stopset.recording.reader", "TICKS", "what a unit of time means"),
     ("stopset.recording.types", "PHASES UNCOUNTED EFFORTS", FORMAT),
     ("stopset.recording.writer", "GROUP_ROWS", FORMAT),
     ("stopset.ring.tape", "*", CODES),

@@ -23,11 +23,14 @@ typedef int64_t Choice __attribute__((vector_size(32), aligned(8), may_alias));
 #define STOPSET_WIDE
 #endif
 
-/* Where n is a number loops become straight lines. */
+/* Where n is a number loops become straight lines: what most arms spend their time in is compiled for their joints once more. f(n, ...), without a value. */
+enum { USUAL_JOINTS = 6, REDUNDANT_JOINTS = 7 };
 #if defined(__GNUC__) && !defined(STOPSET_NARROW)
 #define UNROLLED static inline __attribute__((always_inline))
+#define SIZED(f, n, ...) \
+    ((n) == USUAL_JOINTS ? f(USUAL_JOINTS, __VA_ARGS__) : (n) == REDUNDANT_JOINTS ? f(REDUNDANT_JOINTS, __VA_ARGS__) : f(n, __VA_ARGS__))
 #else
 #define UNROLLED static inline
+#define SIZED(f, n, ...) f(n, __VA_ARGS__)
 #endif
-enum { USUAL_JOINTS = 6 }; /* of most arms: what they spend their time in is compiled for these once more */
 #endif

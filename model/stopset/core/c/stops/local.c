@@ -207,16 +207,7 @@ UNROLLED void box_terms(int n, const Near *near, const Span *x, const Span *w, L
     }
 }
 
-STOPSET_WIDE static void box_terms_usual(const Near *near, const Span *x, const Span *w, Local *out) { box_terms(USUAL_JOINTS, near, x, w, out); }
-
-STOPSET_WIDE static void box_terms_any(const Near *near, const Span *x, const Span *w, Local *out) { box_terms(near->E.n, near, x, w, out); }
-
-void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out) {
-    if (near->E.n == USUAL_JOINTS)
-        box_terms_usual(near, x, w, out);
-    else
-        box_terms_any(near, x, w, out);
-}
+STOPSET_WIDE void stops_box_terms(const Near *near, const Span *x, const Span *w, Local *out) { SIZED(box_terms, near->E.n, near, x, w, out); }
 
 void stops_span(int n, const double *lo, const double *hi, Span *out) {
     memcpy(out->lo, lo, (size_t)n * sizeof *lo);

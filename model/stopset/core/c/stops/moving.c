@@ -155,20 +155,6 @@ UNROLLED void accelerations(int n, const Local *at, const Step *s, double out[RA
         }
 }
 
-STOPSET_WIDE static void accelerations_usual(const Local *at, const Step *s, double out[RATES][SN]) { accelerations(USUAL_JOINTS, at, s, out); }
+STOPSET_WIDE void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) { SIZED(accelerations, at->n, at, s, out); }
 
-STOPSET_WIDE static void accelerations_any(const Local *at, const Step *s, double out[RATES][SN]) { accelerations(at->n, at, s, out); }
-
-void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]) {
-    if (at->n == USUAL_JOINTS)
-        accelerations_usual(at, s, out);
-    else
-        accelerations_any(at, s, out);
-}
-
-STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) {
-    if (n == USUAL_JOINTS)
-        turn_over(USUAL_JOINTS, A, k, into);
-    else
-        turn_over(n, A, k, into);
-}
+STOPSET_WIDE void stops_turn_over(int n, double *A, int k, int into) { SIZED(turn_over, n, A, k, into); }

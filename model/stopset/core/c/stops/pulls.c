@@ -42,7 +42,7 @@ typedef struct {
     double lo[SN], hi[SN], scale[SN], loose[SN], beyond[SN];
 } Rows;
 
-STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
+UNROLLED void rows_of(int n, const Along *A, const Met *x, Rows *out) {
     for (int i = 0; i < n; i += LANES) {
         Four lo = {0}, hi = {0}, scale = {0}, loose = {0}, beyond = {0};
         for (int j = 0; j < n; j++) {
@@ -63,7 +63,7 @@ STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out
 }
 
 /* By slopes: what one angle or the payload does to the middle of all of row i, and what is beyond; with either of two boxes of its own number. */
-STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
+UNROLLED void slopes_of(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
     Four first = {0}, second = {0};
     for (int g = 0; g < groups_of(n); g++) {
         const Four *slope = A->slope[g], own = slope[pair(i, i)], size = SIZES_OF(own);
@@ -83,6 +83,14 @@ STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, 
     }
     out[0] = sum_of(&first);
     out[1] = sum_of(&second);
+}
+
+STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
+    SIZED(rows_of, n, A, x, out);
+}
+
+STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
+    SIZED(slopes_of, n, A, x, i, mid, rad, out);
 }
 
 /* How far a row is from that at the entries' middle. */
@@ -129,10 +137,8 @@ static void read_rows(const Along *A, Exchange *x) {
     Rows rows;
     sum_rows(x->n, A, &x->met, &rows);
     for (int i = 0; i < x->n; i++) {
-        if (x->inside[i])
-            read_speed(A, &rows, i, x);
-        else if (x->rest)
-            read_pulls(A, &rows, i, x);
+        if (x->inside[i] && x->out) read_speed(A, &rows, i, x);
+        if (!x->inside[i] && x->rest) read_pulls(A, &rows, i, x);
     }
 }
 
@@ -242,7 +248,7 @@ static void looseness(const Near *near, const Inverse *inverse, const Span *v, c
     }
 }
 
-/* For speeds in v and momenta in p: speeds (out), and where asked momenta of joints that do not move forward (rest.hi) or backward (rest.lo);
+/* For speeds in v and momenta in p, where asked: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo);
  * infinite where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
 static void exchange(const Near *near, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
     const int n = near->E.n;
@@ -259,8 +265,10 @@ static void exchange(const Near *near, const Inverse *inverse, const Span *v, co
     stops_slopes(near, fast, &x.start, push, x.beyond);
     looseness(near, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
-        out->lo[i] = -STOPS_INF;
-        out->hi[i] = STOPS_INF;
+        if (out) {
+            out->lo[i] = -STOPS_INF;
+            out->hi[i] = STOPS_INF;
+        }
         if (rest) {
             rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
             rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
@@ -332,13 +340,13 @@ static void during(int n, const Span *p, const Span *any, double h, Span *out) {
     }
 }
 
-/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), the momenta, and what these leave of the speeds. */
+/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), and the momenta. */
 typedef struct {
-    Span any, on, momenta, speeds;
+    Span any, on, momenta;
 } Pulls;
 
-/* On a step with speeds in w, from momenta p; `rest`, where asked: what pulls at a joint at rest. */
-static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out, Span *rest) {
+/* On a step with speeds in w, from momenta p; where asked: what the momenta leave of the speeds, and what pulls at a joint at rest. */
+static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out, Span *speeds, Span *rest) {
     const int n = near->E.n;
     Inverse room;
     const Inverse *inverse = invert(near, &room) ? &room : 0;
@@ -348,7 +356,7 @@ static void pulls_on(const Near *near, const Step *s, const Span *w, const Span 
         rates(near, inverse, s, w, &out->momenta, &out->any, &out->on);
         during(n, p, &out->any, s->h, &out->momenta);
     }
-    exchange(near, inverse, w, &out->momenta, &out->speeds, rest);
+    exchange(near, inverse, w, &out->momenta, speeds, rest);
 }
 
 void stops_start_pulls(const Local *at, const Span *v, Span *p) {
@@ -368,45 +376,43 @@ void stops_start_pulls(const Local *at, const Span *v, Span *p) {
 }
 
 /* Speeds on a step from angles in E.q + x, speeds v and momenta p, no faster than `fastest`: claimed, and claimed again while too small; in the
- * end no more is claimed than `fastest`. */
-void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const double *fastest, const Step *s, Span *cap) {
+ * end no more is claimed than `fastest`. `room`: how much farther than v is claimed first, and then for the next step. */
+void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const Step *s, Span *room, Span *cap) {
     const int n = near->E.n;
     const double h = s->h;
-    Span claim, there = {{0}, {0}};
+    const Span fastest = *cap;
+    Span claim, raw, there = {{0}, {0}};
     Pulls found;
-    const Span *raw = &found.speeds;
     for (int i = 0; i < n; i++) {
-        const double room = 0.05 * (v->hi[i] - v->lo[i]) + 0.02;
-        claim.lo[i] = most(-fastest[i], v->lo[i] - room);
-        claim.hi[i] = least(fastest[i], v->hi[i] + room);
+        claim.lo[i] = most(fastest.lo[i], v->lo[i] - room->lo[i]);
+        claim.hi[i] = least(fastest.hi[i], v->hi[i] + room->hi[i]);
     }
     for (int attempt = 0;; attempt++) { /* what is claimed last is enough */
         int enough = 1;
+        if (attempt == CLAIMS - 1) claim = fastest;
         for (int i = 0; i < n; i++) {
-            if (attempt == CLAIMS - 1) {
-                claim.lo[i] = -fastest[i];
-                claim.hi[i] = fastest[i];
-            }
             there.lo[i] = x->lo[i] + h * least(claim.lo[i], 0.0);
             there.hi[i] = x->hi[i] + h * most(claim.hi[i], 0.0);
         }
         stops_box_terms(near, &there, &claim, &near->at);
-        pulls_on(near, s, &claim, p, &found, 0);
+        pulls_on(near, s, &claim, p, &found, &raw, 0);
         for (int i = 0; i < n; i++) {
-            if (!(raw->lo[i] > claim.lo[i]) && claim.lo[i] > -fastest[i]) {
+            if (!(raw.lo[i] > claim.lo[i]) && claim.lo[i] > fastest.lo[i]) {
                 enough = 0;
-                claim.lo[i] = most(-fastest[i], raw->lo[i] - 0.1 * (claim.lo[i] - raw->lo[i]) - 0.01);
+                claim.lo[i] = most(fastest.lo[i], raw.lo[i] - 0.1 * (claim.lo[i] - raw.lo[i]) - 0.01);
             }
-            if (!(raw->hi[i] < claim.hi[i]) && claim.hi[i] < fastest[i]) {
+            if (!(raw.hi[i] < claim.hi[i]) && claim.hi[i] < fastest.hi[i]) {
                 enough = 0;
-                claim.hi[i] = least(fastest[i], raw->hi[i] + 0.1 * (raw->hi[i] - claim.hi[i]) + 0.01);
+                claim.hi[i] = least(fastest.hi[i], raw.hi[i] + 0.1 * (raw.hi[i] - claim.hi[i]) + 0.01);
             }
         }
         if (enough) break;
     }
     for (int i = 0; i < n; i++) {
-        cap->lo[i] = most(claim.lo[i], raw->lo[i]);
-        cap->hi[i] = least(claim.hi[i], raw->hi[i]);
+        cap->lo[i] = most(claim.lo[i], raw.lo[i]);
+        cap->hi[i] = least(claim.hi[i], raw.hi[i]);
+        room->lo[i] = most(1.1 * (v->lo[i] - cap->lo[i]), 0.0) + 0.01;
+        room->hi[i] = most(1.1 * (cap->hi[i] - v->hi[i]), 0.0) + 0.01;
     }
 }
 
@@ -417,7 +423,7 @@ void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span
     Pulls found;
     Span pull;
     const Span *any = &found.any, *on = &found.on, *rest = &pull;
-    pulls_on(near, s, w, p, &found, &pull);
+    pulls_on(near, s, w, p, &found, 0, &pull);
     for (int i = 0; i < n; i++) {
         const double hi = p->hi[i] + h * any->hi[i], lo = p->lo[i] + h * any->lo[i], push = most(0.0, h * on->hi[i]), back = least(0.0, h * on->lo[i]);
         const double pull_hi = pulled ? rest->hi[i] + push : -STOPS_INF, pull_lo = pulled ? rest->lo[i] + back : STOPS_INF;

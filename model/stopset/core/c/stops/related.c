@@ -22,7 +22,7 @@ typedef struct {
     double (*out)[SN], shared;
 } Relation;
 
-STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
+UNROLLED void pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
     const double d = 1.0 / A->own[k], *row = A->value + k * SN;
     double share[SN];
     Four bent[SN], old[SN];
@@ -54,13 +54,16 @@ STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along
     }
 }
 
+STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
+    SIZED(pivot_along, n, A, k, B);
+}
+
 /* What slopes do to row i: sums of their sizes times what torques are uncertain by, of columns, times all that scales rounding, and of its own. */
 typedef struct {
     double spread, columns, scale, own;
 } Turned;
 
-STOPSET_WIDE static Turned turned(const Along *A, int i, const Relation *x) {
-    const int n = x->n;
+UNROLLED Turned turned(int n, const Along *A, int i, const Relation *x) {
     Turned out = {0.0, 0.0, 0.0, 0.0};
     for (int g = 0; g < groups_of(n); g++) {
         const Four *slope = A->slope[g], *column = (const Four *)(x->turns + g * LANES), self = slope[pair(i, i)], own = SIZES_OF(self);
@@ -82,10 +85,9 @@ STOPSET_WIDE static Turned turned(const Along *A, int i, const Relation *x) {
 }
 
 /* The hull grows by the accelerations of joint i when it moves and so do those inside. */
-STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
-    const int n = x->n;
+UNROLLED void row_of(int n, const Along *A, int i, Relation *x) {
     const double w = -A->own[i];
-    const Turned slopes = turned(A, i, x);
+    const Turned slopes = turned(n, A, i, x);
     double lo = 0.0, hi = 0.0, spread = slopes.spread + slopes.columns, scale = 1.0 + slopes.scale;
     for (int g = 0; g < groups_of(n); g++) {
         const Four *column = (const Four *)(x->speeds + g * LANES);
@@ -114,6 +116,10 @@ STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
         else
             x->out[rate][i] = most(x->out[rate][i], hi + w * f + away);
     }
+}
+
+STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
+    SIZED(row_of, x->n, A, i, x);
 }
 
 /* B: A with joint k inside; 0 if that is not surely possible. */

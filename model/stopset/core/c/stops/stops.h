@@ -132,7 +132,7 @@ double stops_by_power(int n, double y, const Span *w, const Span *v, const Span 
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *const line[4], int alone); /* line: v_lo, v_hi, e_lo, e_hi */
 void stops_start_pulls(const Local *at, const Span *v, Span *p);
-void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const double *fastest, const Step *s, Span *cap);
+void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, const Step *s, Span *room, Span *cap);
 void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span *step);
 double stops_pull_cut(const Near *near, Span *p, Span *v);
 #endif

@@ -20,13 +20,15 @@ const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_
 enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy does not fall */
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
+static const double too_far = 100.0; /* times the range of a speed, by which claims let it change on one step */
+
 typedef struct {
     const StopsetTube *tube;
-    int n, energetic, pulled, related; /* pulled: the momenta still say more than the energy */
+    int n, energetic, pulled, related, asked; /* pulled: the momenta still say more than the energy; asked: so do accelerations, or may yet */
     _Alignas(32) double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
     Span q, farthest; /* angles at the cut; displacements from now on, by energy */
     Span w, x, v;     /* on the step: claimed speeds, angles from the pose, speeds under its lines */
-    Span momenta, cap; /* of all joints at the knot; of speeds on the step */
+    Span momenta, cap, room; /* of all joints at the knot; of speeds on the step; beyond those at the knot, first claimed */
     Step s;
     Bands b, end;
     Energy energy;
@@ -191,6 +193,14 @@ static void torques(March *m, const double *lo, const double *hi) {
     }
 }
 
+/* Whether claims have left what the caps allow so far behind that they would only grow. */
+static int hopeless(const March *m) {
+    for (int row = 0; row < 4; row++)
+        for (int i = 0; i < m->n; i++)
+            if (m->s.h * size_of(m->claim[row][i]) > too_far * (m->cap.hi[i] - m->cap.lo[i])) return 1;
+    return 0;
+}
+
 /* Claims until they hold; whether they did. */
 static int verify(March *m, int64_t k) {
     const int n = m->n;
@@ -206,6 +216,7 @@ static int verify(March *m, int64_t k) {
         stops_accelerations(&m->near.at, &m->s, m->out);
         if (m->related) stops_related(&m->near, &m->s, m->out);
         if (claims_hold(m)) return 1;
+        if (hopeless(m)) return 0; /* never without caps, which are infinite then */
     }
     return 0;
 }
@@ -222,6 +233,13 @@ static void caps_alone(March *m, int64_t k) {
         for (int i = 0; i < n; i++) m->out[row][i] = is_lower(row) ? -STOPS_INF : STOPS_INF;
 }
 
+/* Whether accelerations say more of the speeds at the end of a step than the energy does. */
+static int cuts(const March *m, const double *lo, const double *hi) {
+    int more = 0;
+    for (int i = 0; i < m->n; i++) more |= hi[i] - lo[i] < least(m->cap.hi[i], m->energy.end[i]) - most(m->cap.lo[i], -m->energy.end[i]);
+    return more;
+}
+
 /* Bands, lines and retained impulse of step k; whether accelerations were verified. The impulse that ends first excursions during
  * the step is known after it: it was taken a little less, and the step is repeated where that was too much. */
 static int take_step(March *m, int64_t k, double now) {
@@ -233,7 +251,7 @@ static int take_step(March *m, int64_t k, double now) {
     for (int redo = 0;; redo++) { /* ends: from the second on each takes nothing of one more joint */
         int enough = 1;
         later_friction(m, now + m->s.h);
-        verified = verify(m, k);
+        verified = m->asked && verify(m, k);
         if (!verified && !m->energetic) return 0;
         if (!verified) caps_alone(m, k);
         advance(m);
@@ -313,7 +331,7 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->cap.hi[i] = m->energy.cap[i];
     }
     stops_span(n, t->v_lo + k * n, t->v_hi + k * n, &speeds);
-    if (m->pulled) stops_pull_caps(&m->near, &m->x, &speeds, &m->momenta, m->energy.cap, &m->s, &m->cap);
+    if (m->pulled) stops_pull_caps(&m->near, &m->x, &speeds, &m->momenta, &m->s, &m->room, &m->cap);
     m->pulled = 0;
     for (int i = 0; i < n; i++) m->pulled |= m->cap.hi[i] - m->cap.lo[i] < worth * 2.0 * m->energy.cap[i];
     for (int i = 0; i < n; i++) { /* known before any claim: speeds at this knot */
@@ -415,6 +433,7 @@ static void begin(March *m, const StopsetBox *box, const double *middle) {
         m->energy.cap[i] = m->energy.end[i] = m->farthest.hi[i] = m->cap.hi[i] = STOPS_INF;
         m->cap.lo[i] = -STOPS_INF;
         m->farthest.lo[i] = -STOPS_INF;
+        m->room.lo[i] = m->room.hi[i] = 0.05 * (v.hi[i] - v.lo[i]) + 0.02;
     }
     stops_start_local(n, &m->near.at);
     stops_start_bands(n, &v, &m->b);
@@ -442,6 +461,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
     m.tube = tube;
     m.n = n;
     m.energetic = m.pulled = energetic;
+    m.asked = 1;
     m.related = related;
     tube->t[0] = 0.0;
     for (int i = 0; i < n; i++) tube->travel_left[i] = STOPS_INF;
@@ -458,6 +478,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
     for (int64_t k = 0; k < stride->count; k++) {
         const double now = tube->t[k], y = m.energy.y;
         double widest = -STOPS_INF;
+        const int pulled = m.pulled;
         *made = k;
         m.s.h = step_from(now, closing, engaged, stride->h, stride->brief);
         if (!prepare(&m, k, now, middle, gravity)) return UNBOUNDED;
@@ -465,6 +486,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
         const int verified = take_step(&m, k, now);
         if (!verified && !energetic) return UNBOUNDED;
         m.related = m.related && verified; /* where it does not help it costs the most */
+        m.asked = !energetic || (m.asked && verified && (pulled || cuts(&m, tube->e_lo + k * n, tube->e_hi + k * n)));
         displace(&m, k);
         settle(&m, k, y);
         tube->t[k + 1] = now + m.s.h;
