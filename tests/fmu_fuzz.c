@@ -53,6 +53,7 @@ int main(int argc, char **argv) {
         if (c && below(10)) { /* mostly a run that begins as it should */
             const fmi3Boolean measured = below(3) != 0; /* a model of motor torque is covered only then */
             fmi3SetBoolean(c, &measured_of, 1, &measured, 1);
+            if (below(3)) fmi3SetFloat64(c, vr, at_start(vr, x), x, NJ);
             vr[0] = VR_DQ_START + below(NJ);
             x[0] = number();
             if (below(2)) fmi3SetFloat64(c, vr, 1, x, 1);

@@ -54,6 +54,15 @@ static const char *beyond(const double r[N_REAL], int measured) {
     return 0;
 }
 
+/* Readings of an arm that stands where the model says one may begin; as zeros they are outside the domain of many an arm. How many. */
+static unsigned at_start(unsigned *vr, double *x) {
+    for (unsigned i = 0; i < NJ; i++) {
+        vr[i] = VR_Q_MEASURED + i;
+        x[i] = stopset_model.start_real[VR_Q_START + i];
+    }
+    return NJ;
+}
+
 /* A stop that is certified has numbers of at least zero, one that is not has none; brakes take time, and what is read is
  * not exact, so that no bound is zero. */
 static const char *untrue(const double r[N_REAL], int certified) {

@@ -96,6 +96,7 @@ static void begin(fmi2Component c, int exchange) {
     const fmi2Boolean measured = below(3) != 0;
     const double speed = number();
     fmi2SetBoolean(c, &measured_of, 1, &measured);
+    if (below(3)) fmi2SetReal(c, vr, at_start(vr, x), x);
     if (below(2)) fmi2SetReal(c, &speed_of, 1, &speed);
     const unsigned many = below(4);
     some(many, N_REAL + 1, 0);

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from monitor_process import free_port, wait
+from monitor_process import free_port, listens, running
+from patience import rest, wait
 from stopset.cli.main import main
 from stopset.monitor.fleet import Fleet, central, terminal
 from stopset.monitor.fleet.central import Central
@@ -69,6 +70,25 @@ def test_events_of_all_arms_and_every_change_of_state_are_recorded(tmp_path: Pat
         assert states.count("VIOLATION") >= 2 and len(states) < 20, states
     report = json.loads((tmp_path / "f.json").read_text())["record"]
     assert report["written"] == len(said) and report["lost"] == 0 == report["garbled"] and report["files"] == 1
+
+
+def test_what_is_ended_as_a_service_is_leaves_a_whole_recording(tmp_path: Path) -> None:
+    """SIGTERM within the first chunk of a file, of which nothing is on the disk until it is closed."""
+    port, page = free_port(), free_port()
+    router = ZenohLink(mode="router", listen=[f"tcp/127.0.0.1:{port}"])
+    words = ("fleet", "--connect", f"tcp/127.0.0.1:{port}", "--port", str(page), "--record", str(tmp_path))
+    try:
+        with running(*words) as fleet:
+            assert wait(lambda: listens(page) or fleet.poll() is not None) and fleet.poll() is None
+            for k in range(20):
+                router.put(f"{ARMS[0]}/stopset/event", json.dumps({"kind": "step", "t_ns": k}), must_arrive=True)
+                router.put(f"{ARMS[0]}/stopset/state/json", state("OK"))
+                rest(0.05)
+        assert fleet.returncode == 0
+    finally:
+        router.close()
+    events = [m["t_ns"] for topic, m in read(tmp_path) if topic.endswith("event")]
+    assert events[-1] == 19 and events == list(range(events[0], 20))
 
 
 def test_a_disk_that_refuses_costs_what_has_no_room_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -247,8 +247,10 @@ def test_a_model_goes_and_comes_back_with_its_version(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("torque", [1.0, 1.5])
-def test_the_smoke_check_passes_a_sound_cell_and_no_other(tmp_path: Path, torque: float) -> None:
+@pytest.mark.parametrize(
+    ("torque", "profile"), [(1.0, ("lwa4p/monitor",)), (1.0, ()), (1.5, ())], ids=["CAN", "joint_states", "changed"]
+)
+def test_the_smoke_check_passes_a_sound_cell_and_no_other(tmp_path: Path, torque: float, profile: tuple[str, ...]) -> None:
     """The shipped script: a real daemon, a bus on loopback, the daemon stopped for a while; an arm that left its model fails it."""
     save_model(known_model(), tmp_path / "arm.model.json")
     write_recordings(tmp_path / "rec.parquet", meta(), [with_torque_scaled(motion(s, 500, s), 2, torque) for s in range(2)])
@@ -257,9 +259,8 @@ def test_the_smoke_check_passes_a_sound_cell_and_no_other(tmp_path: Path, torque
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m stopset.cli.main "$@"\n')
     program.chmod(0o755)
     path = f"{program.parent}{os.pathsep}{os.environ['PATH']}"
-    done = sh(
-        DEPLOY / "checks/smoke.sh", tmp_path / "arm.model.json", tmp_path / "rec.parquet", **{**environment(), "PATH": path}
-    )
+    words = (tmp_path / "arm.model.json", tmp_path / "rec.parquet", *profile)
+    done = sh(DEPLOY / "checks/smoke.sh", *words, **{**environment(), "PATH": path})
     if torque == 1.0:
         assert done.returncode == 0 and done.stdout.endswith("passed\n"), done.stdout + done.stderr
     else:

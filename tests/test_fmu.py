@@ -374,12 +374,15 @@ def test_the_core_is_compiled_once_for_all_models_and_each_part_is_said(tmp_path
         build, "_run", lambda words, *rest: (compiled.extend(w for w in words if w.endswith(".c")), run(words, *rest))
     )
     for horizon, core in ((0.1, True), (0.2, False)):
-        said: list[str] = []
+        said: dict[str, float | None] = {}
         compiled.clear()
-        there = archive(arm_model(2, horizon=horizon), Contents(3, (str(HERE),), reference=False), said.append)
+        there = archive(arm_model(2, horizon=horizon), Contents(3, (str(HERE),), reference=False), said.setdefault)
         assert "model_data.c" in compiled and ("core/rigid.c" in compiled) is core
         assert (there == here) is core
-        assert [line[: len("compiled 1 of 2")] for line in said[:2]] == ["compiled 1 of 2", "compiled 2 of 2"]
+        shares = [share for text, share in said.items() if text.startswith("compiling")]
+        assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
+        # one word for every unit of the core, when it is there; nothing of a core that was there before
+        assert len(shares) - 3 == (sum(w.startswith("core/") for w in compiled) if core else 0)
 
 
 def test_the_core_takes_the_processors_widest_loops_on_linux(exported: Any) -> None:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import itertools
 import os
 import struct
 import subprocess
 import sys
 import tempfile
-import time
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from platform import machine
 from stopset.errors import OutputError
 from stopset.files import cache_folder, write_bytes
 from stopset.fmu.sources import CORE
+from stopset.progress import Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +76,9 @@ LINK = ("-shared", "-s")
 WINDOWS = ("windows.c", "msvcrt.def")
 # of the core, for zig on the platforms where the core's loops choose their instructions; nothing here could run them on macOS
 PROCESSOR = "processor.c"
+LINKING = (
+    15  # units of the core that take as long as a library, for which the compiler makes its own libraries where it has not yet
+)
 CLONED = ("x86_64-linux", "x86_64-windows")
 
 
@@ -103,21 +106,24 @@ def _run(arguments: Sequence[str], folder: Path, platform: Platform) -> None:
         )
 
 
-def _objects(folder: Path, units: Sequence[str], platform: Platform, flags: Sequence[str]) -> list[str]:
-    """One object for each unit; their names."""
+def _objects(
+    folder: Path, units: Sequence[str], platform: Platform, flags: Sequence[str], done: Callable[[int], None] = lambda _: None
+) -> list[str]:
+    """One object for each unit; their names. ``done``: told how many there are."""
     out = [f"{unit.removesuffix('.c')}-{platform.name}.o" for unit in units]
-    for unit, name in zip(units, out, strict=True):
+    for k, (unit, name) in enumerate(zip(units, out, strict=True)):
         _run([*compiler(), "cc", "-target", platform.target, *FLAGS, *flags, "-I.", "-c", unit, "-o", name], folder, platform)
+        done(k + 1)
     return out
 
 
-def _compile_core(folder: Path, units: Sequence[str], platform: Platform) -> bytes:
+def _compile_core(folder: Path, units: Sequence[str], platform: Platform, done: Callable[[int], None]) -> bytes:
     """What does not depend on the model, as an archive."""
     out = f"core-{platform.name}.a"
     flags = ["-fPIC"] if platform.suffix == ".so" else []
     if platform.name in CLONED:
         units, flags = [*units, PROCESSOR], [*flags, "-DSTOPSET_PROCESSOR"]
-    objects = _objects(folder, units, platform, flags)
+    objects = _objects(folder, units, platform, flags, done)
     # appended, as files of two folders have one name; without times and owners
     _run([*compiler(), "ar", "qcsD", out, *objects], folder, platform)
     return (folder / out).read_bytes()
@@ -164,14 +170,30 @@ def _cached(sources: Mapping[str, str], names: Sequence[str], platform: Platform
     return made
 
 
+class _Parts:
+    """How much of all platforms is compiled: each unit of the core counts alike, and a library as `LINKING` of them."""
+
+    def __init__(self, units: int, platforms: Sequence[Platform], say: Progress) -> None:
+        self._whole, self._say, self._lock = units + LINKING, say, threading.Lock()
+        self._done = dict.fromkeys((p.name for p in platforms), 0)
+        self(platforms[0], 0)
+
+    def __call__(self, platform: Platform, parts: int) -> None:
+        """So many are there of one platform."""
+        with self._lock:
+            self._done[platform.name] = min(parts, self._whole)
+            done, total = sum(self._done.values()), self._whole * len(self._done)
+            ready = sum(x == self._whole for x in self._done.values())
+            self._say(f"compiling: {done} of {total} parts, {ready} of {len(self._done)} libraries", done / total)
+
+
 def binaries(
-    sources: Mapping[str, str], units: Sequence[str], platforms: Sequence[Platform], identifier: str,
-    say: Callable[[str], None],
-) -> dict[str, bytes]:  # fmt: skip
+    sources: Mapping[str, str], units: Sequence[str], platforms: Sequence[Platform], identifier: str, say: Progress
+) -> dict[str, bytes]:
     """Platform name -> library; two compilers at a time. What was compiled before is taken from the user's cache, the core for every
     model.
 
-    ``say``: told of each part when it is there: of every platform the core, then the library.
+    ``say``: told how far it is whenever a part is there.
     """
     if not platforms:
         return {}
@@ -182,22 +204,21 @@ def binaries(
     core = {name: text for name, text in sources.items() if name.startswith(f"{CORE}/") or name == PROCESSOR}
     shared = [unit for unit in units if unit in core]
     out: dict[str, bytes] = {}
-    done, begin = itertools.count(1), time.monotonic()
+    parts = _Parts(len(shared), platforms, say)
     with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as name:
         folder = Path(name)
         for file, text in sources.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text)
 
-        def progress(what: str) -> None:
-            say(f"compiled {next(done)} of {2 * len(platforms)} after {time.monotonic() - begin:.0f} s: {what}")
-
         def make(platform: Platform) -> bytes:
-            made = _cached(core, ["core"], platform, lambda: _compile_core(folder, shared, platform))
-            progress(f"the core for {platform.name}")
+            made = _cached(
+                core, ["core"], platform, lambda: _compile_core(folder, shared, platform, lambda k: parts(platform, k))
+            )
+            parts(platform, len(shared))
             rest = [unit for unit in units if unit not in core]
             library = _cached(sources, [identifier], platform, lambda: _link(folder, rest, platform, identifier, made))
-            progress(f"the library for {platform.name}")
+            parts(platform, len(shared) + LINKING)
             return library
 
         with ThreadPoolExecutor(2) as pool:

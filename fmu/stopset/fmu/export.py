@@ -7,7 +7,7 @@ import json
 import re
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -25,6 +25,7 @@ from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
 from stopset.fmu.terminals import icon, terminals
 from stopset.fmu.variables import variables
+from stopset.progress import Progress, silent
 from stopset.reach.stops.path import Path as StopPath
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's earliest time: the same model gives the same bytes
@@ -63,11 +64,7 @@ class Contents:
 ALL = Contents()
 
 
-def silent(_: str) -> None:
-    """Who does not want to be told."""
-
-
-def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] = silent) -> bytes:
+def archive(model: Model, contents: Contents = ALL, say: Progress = silent) -> bytes:
     """The FMU's bytes; see `export`."""
     fmi = contents.fmi
     if fmi not in (2, 3):
@@ -115,10 +112,10 @@ def archive(model: Model, contents: Contents = ALL, say: Callable[[str], None] =
     return buffer.getvalue()
 
 
-def export(model: Model, path: str | Path, contents: Contents = ALL, say: Callable[[str], None] = silent) -> Path:
+def export(model: Model, path: str | Path, contents: Contents = ALL, say: Progress = silent) -> Path:
     """Write the model as an FMU that needs no Python where it runs, co-simulation and model exchange both.
 
-    ``say``: told of every library that is made.  Raises `OutputError` where nothing can be written, or where fmpy's validator finds
+    ``say``: told how far it is.  Raises `OutputError` where nothing can be written, or where fmpy's validator finds
     fault, `NotCovered` for a model the FMU cannot carry.
     """
     target = writable(path)

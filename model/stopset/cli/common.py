@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import signal
 import sys
 import textwrap
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
@@ -85,6 +87,12 @@ def open_link(args: argparse.Namespace) -> tuple[ZenohLink, Expected | None]:
         connect = [*c.zenoh.listen, *c.zenoh.connect] if c.zenoh.mode == "peer" else list(c.zenoh.connect)
         expected = Expected.of(c.data_id, trusted(c)().sha256, c.sha256, load_keys(c.keys) if c.keys else None)
     return ZenohLink(arm, mode="client", connect=[] if file else connect, file=file), expected
+
+
+def end_as_a_service_ends() -> None:
+    """From here on SIGTERM, by which a service is ended, is Ctrl-C: what waits is written, what was asked for at the end is given."""
+    if threading.current_thread() is threading.main_thread():  # nobody else may set it
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def check_outputs(*paths: str | Path | None) -> None:

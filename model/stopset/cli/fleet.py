@@ -6,7 +6,7 @@ import argparse
 import re
 from pathlib import Path
 
-from stopset.cli.common import check_outputs, say, write_json
+from stopset.cli.common import check_outputs, end_as_a_service_ends, say, write_json
 
 HELP = "all arms of a router at a glance: one line or tile each, discovered by themselves"
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look until Ctrl-C or ``--seconds``; exit code 1 if no arm was found."""
+    """Look until Ctrl-C, SIGTERM or ``--seconds``; exit code 1 if no arm was found."""
     import sys
     import time
 
@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.links.zenoh_link import ZenohLink
 
     check_outputs(args.json)
+    end_as_a_service_ends()
     if not re.fullmatch(r"[^/#?$]+/[^/#?$]+/[^/#?$]+", args.arms):
         raise BusError(f"--arms {args.arms!r}; expected SITE/CELL/ARM, each a name or *, like hall3/*/*: write it so")
     if not args.keep_mb > 0:

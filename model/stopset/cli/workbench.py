@@ -29,14 +29,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until Ctrl-C or ``--seconds``."""
+    """Serve until Ctrl-C, SIGTERM or ``--seconds``."""
     import time
 
-    from stopset.cli.common import check_outputs, say, write_json
+    from stopset.cli.common import check_outputs, end_as_a_service_ends, say, write_json
     from stopset.files import write_text
     from stopset.offline.workbench import Loop, Server
 
     check_outputs(args.json, args.report)
+    end_as_a_service_ends()
     loop = Loop(args.model, args.data, args.out or Path(args.model).parent, fmu, args.condition)
     server = Server(loop, args.host, args.port)
     server.start()

@@ -146,7 +146,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.before[taken.joint]),
-                float(taken.after[taken.joint]), given, c.effect.look_at, _says(c.effect, given, described=not engine.source.gain_std),
+                float(taken.after[taken.joint]), given, c.effect.look_at, _says(c.effect, given, described=not engine.modelled),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus,
             )
         )  # fmt: skip

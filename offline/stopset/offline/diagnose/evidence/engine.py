@@ -107,6 +107,11 @@ class Engine:
             (1.0,) if known else limit.ROTOR_SCALES,
         )
 
+    @property
+    def modelled(self) -> bool:
+        """Whether recordings are held against a model from others, whose rigid body is known far better than a description's."""
+        return self.source.gain_std > 0.0
+
     def add(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> Candidate | None:
         """Append an effect's columns to the Grams; None if it leaves no trace in these motions."""
         return next(iter(self.add_all([(effect, joints, shapes)])), None)

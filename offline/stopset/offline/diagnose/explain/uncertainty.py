@@ -62,7 +62,7 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 a = np.zeros(len(full))
                 a[place[k]] = 1.0
-                a[place[engine.drives]] = 0.0 if engine.source.gain_std else -theta[place[k]]
+                a[place[engine.drives]] = 0.0 if engine.modelled else -theta[place[k]]
                 own = float(np.sqrt(max(a @ inverse @ a, a @ clustered @ a)))
                 deviation[t.symbol] = float(np.hypot(own, scale * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
@@ -76,7 +76,7 @@ def drives_scale(now: Hypothesis, theta: Array) -> float:
 
     1 where a model says it already (a load's columns hold it then): what such a fit finds besides is no matter of the drives.
     """
-    if now.engine.source.gain_std:
+    if now.engine.modelled:
         return 1.0
     return 1.0 + float(theta[now.nuisance.tolist().index(now.engine.drives)])
 

@@ -40,10 +40,11 @@ def judged(
 
     A delay is judged against ``now`` with its joint's stamps held: far off, they would imitate a good part of it.
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
+    Beside other claims against a model from other recordings, whose base is not free, it must show.
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
-    if candidate.effect.absorbed:
+    if candidate.effect.absorbed and not (earlier and now.engine.modelled):
         return Step(before, after, "")
     where = list(candidate.joints) or list(range(len(before)))
     lowered, expected = float(np.max(1.0 - after[where] / before[where])), _least(candidate, earlier)
