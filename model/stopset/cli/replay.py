@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.links.hub import Hub
     from stopset.monitor.logs import LOG_SUFFIXES, log_suffix
     from stopset.monitor.profile import load_profile
-    from stopset.monitor.replay import CanSink, JointStateSink, Sink, cycle_of, play
+    from stopset.monitor.replay import CanSink, JointStateSink, Sink, play, steps_of
     from stopset.recording import read_meta, stream_recordings
 
     if not args.speed > 0:
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if log_suffix(args.recording) in LOG_SUFFIXES:
         return _frames(args)
     first = next(stream_recordings(args.recording))
-    cycle_of(first)
+    steps_of(first, stamped=args.to.startswith("zenoh"))
     joints = read_meta(args.recording).joints
     link = None
     hub: Hub | None = None

@@ -18,12 +18,15 @@ from stopset.recording import Recording
 from stopset.types import Array
 
 PAUSE_CYCLES = 8  # silence between two trials: the arm jumps there, and the listener must see a gap
+UNEVEN = 0.05  # of the period
 OPERATION_ENABLED, QUICK_STOP, SWITCHED_OFF = 0x27, 0x07, 0x40
 
 
 class Sink(Protocol):
-    """Takes sample after sample. ``pause``: lets cycles pass unseen."""
+    """Takes sample after sample. ``pause``: lets cycles pass unseen; ``stamped``: samples carry their stamps, which need not be even."""
 
+    @property
+    def stamped(self) -> bool: ...
     def sample(self, values: Array, stamp_ns: int) -> None: ...
     def pause(self, cycles: int) -> None: ...
     def close(self) -> None: ...
@@ -36,6 +39,11 @@ class CanSink:
     bus: Talker
     encoder: Encoder
     frames: int = 0
+
+    @property
+    def stamped(self) -> bool:
+        """A SYNC says when, and comes in an even cycle."""
+        return False
 
     @classmethod
     def of(cls, bus: Talker, profile: Profile) -> CanSink:
@@ -61,6 +69,11 @@ class JointStateSink:
     joints: tuple[str, ...]
     cdr: bool = False
     frames: int = 0
+
+    @property
+    def stamped(self) -> bool:
+        """A header says when."""
+        return True
 
     def sample(self, values: Array, stamp_ns: int) -> None:
         rows = (tuple(values[i].tolist()) for i in range(3))
@@ -88,17 +101,22 @@ def signal_rows(r: Recording) -> Array:
     return out
 
 
-def cycle_of(r: Recording) -> float:
-    """Sampling period [s] of a trial; raises `RecordingError` if it is not even, because a bus cycle is."""
+def steps_of(r: Recording, *, stamped: bool) -> Array:
+    """(N,) time [s] from each sample of a trial to the next: its period, where that is even, else as the samples are ``stamped``.
+
+    Raises `RecordingError` for uneven samples without stamps, because a bus cycle is even.
+    """
     dt = np.diff(r.t)
     period = float(np.median(dt))
     worst = float(np.abs(dt - period).max())
-    if worst > 0.05 * period:
+    if worst <= UNEVEN * period:
+        return np.full(len(r.t), period)
+    if not stamped:
         raise RecordingError(
             f"{r.label} is sampled every {period * 1e3:.4g} ms but for {worst * 1e3:.3g} ms of difference; a bus needs an even "
-            "cycle: resample it"
+            "cycle: resample it, or send it as joint_states (--to zenoh:ENDPOINT), which carry their stamps"
         )
-    return period
+    return np.append(dt, period)
 
 
 def play(
@@ -117,10 +135,10 @@ def play(
     stamp = time.time_ns()
     due = clock()
     for r in trials:
-        period = cycle_of(r)
+        steps = steps_of(r, stamped=sink.stamped)
         if np.isfinite(speed):
             stamp = max(stamp, time.time_ns() + round(max(0.0, due - clock()) * 1e9))
-        for values in signal_rows(r):
+        for values, step in zip(signal_rows(r), steps.tolist(), strict=True):
             wait = due - clock()
             if wait > 0:
                 sleep(wait)
@@ -129,9 +147,9 @@ def play(
                 due = clock()
             sink.sample(values, stamp)
             sent += 1
-            due += period / speed
-            stamp += round(period * 1e9)
+            due += step / speed
+            stamp += round(step * 1e9)
         sink.pause(PAUSE_CYCLES)
-        due += PAUSE_CYCLES * period / speed
-        stamp += round(PAUSE_CYCLES * period * 1e9)
+        due += PAUSE_CYCLES * steps[-1] / speed
+        stamp += round(PAUSE_CYCLES * steps[-1] * 1e9)
     return sent, worst
