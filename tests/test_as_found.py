@@ -178,6 +178,15 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     assert any("as if about" in text for text in check_files(arm(), campaign.meta, campaign.trials(), mixed=True))
 
 
+def test_a_joint_whose_zero_is_elsewhere_is_no_matter_of_masses() -> None:
+    """Its model would enclose its recordings like any other, and tell where the TCP of another arm stops."""
+    hint = "look at the zeros and axes of the joints"
+    for zero, expected in ((0.0, False), (np.pi / 2, True)):
+        trials = [moving(Truth(arm()), k, 16.0, 1.2, seed=8) for k in range(3)]
+        found = identify_nominal(arm(), [replace(r, q=r.q + zero * np.eye(r.q.shape[1])[1]) for r in trials])
+        assert any(hint in note for note in found.notes) == expected
+
+
 def test_files_of_two_clocks_make_no_model(tmp_path: Path) -> None:
     """Torque 30 ms late in one of three files: the mean of their lags is true of none.  In one file alone it is taken out."""
     paths = [tmp_path / f"{name}.parquet" for name in ("first", "second", "late")]

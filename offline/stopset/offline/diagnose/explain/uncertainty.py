@@ -55,13 +55,16 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
     for number, symbol, at in shapes:
         out[number][symbol] = float(sd[at])
     for c, deviation in zip(claims, out, strict=True):
-        if c.effect.carried:  # a load is known no better than the torque it is weighed with: where that is too large, it is, too
+        if c.effect.carried:
+            # a load is known no better than the torque it is weighed with: where that is too large, it is, too. What a fit says of all
+            # drives' scale is as true as the description's masses, which err together, so it tells no more than a data sheet does
+            off = engine.source.gain_std if engine.modelled else limit.DRIVES
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 a = np.zeros(len(full))
                 a[place[k]] = 1.0
                 a[place[engine.drives]] = 0.0 if engine.modelled else -theta[place[k]]
                 own = float(np.sqrt(max(a @ inverse @ a, a @ clustered @ a)))
-                deviation[t.symbol] = float(np.hypot(own, engine.source.gain_std * theta[place[k]]))
+                deviation[t.symbol] = float(np.hypot(own, off * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
             symbol = c.effect.terms[0].symbol
             deviation[symbol] = float(np.hypot(deviation[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
