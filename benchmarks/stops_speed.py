@@ -27,8 +27,10 @@ from stop_tubes import tube_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.parts import ALL_PARTS
+from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.tube import OK, Stride, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
+from stopset.reach.stops.types import Category
 from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop
 from stopset.types import Array
@@ -82,6 +84,32 @@ def boxes(states: int = 12) -> None:
             found += core.bound(q, dq, "0", np.full(n, 0.01), np.full(n, 0.05)) is not None
             spent.append((time.thread_time_ns() - start) / 1e6)
         print(f"  {name}, {rated:.3g} kg: {np.median(spent):.2f}, {max(spent):.2f}, {found} of {states}")
+
+
+def ramps(states: int = 12) -> None:
+    """STOP 0, and STOP 1 that may fail, speed compared with the ramp (SS1-r): a proof for each time at which that may be found out."""
+    print(
+        f"by the core, payload from nothing to the rated one, {states} measured states: STOP 0, SS1-r that may fail: median [ms], worst [ms]"
+    )
+    for name, (model, top) in arms().items():
+        if name not in ("PRBT-like", "UR10e-like"):
+            continue
+        setting = StopBounds.of(model, model.domain.payload).setting
+        assert setting is not None
+        ramp = Ramp(
+            "time", Box.of(np.full(6, 0.25), np.full(6, 0.3)), Box.of(np.full(6, 0.004), np.full(6, 0.01)), np.full(6, 0.01),
+            np.full(6, 0.05), off_after=0.4, monitored=True,
+        )  # fmt: skip
+        spent: dict[Category, list[float]] = {"0": [], "1 guaranteed": []}
+        core, rng = CompiledStops.of(setting, ramp), np.random.default_rng(1)
+        for _ in range(states):
+            q, dq = rng.uniform(-np.pi, np.pi, 6), rng.uniform(-1.0, 1.0, 6) * top
+            for category, times in spent.items():
+                start = time.thread_time_ns()
+                assert core.bound(q, dq, category) is not None
+                times.append((time.thread_time_ns() - start) / 1e6)
+        told = "; ".join(f"{np.median(x):.2f}, {max(x):.2f}" for x in spent.values())
+        print(f"  {name}, 0 to {model.domain.payload[1]:.3g} kg: {told}")
 
 
 FRESH = """
@@ -182,6 +210,7 @@ def main() -> None:
         f"one bound in the monitor's steps: by the core with the tool's way {alone:.0f} us, all that Python tells of it {from_python:.0f} us"
     )
     boxes()
+    ramps()
     print(f"a new model's first bound {again * 1e3:.0f} ms")
     imports, preparing, first, second = fresh_process()
     print(
