@@ -76,9 +76,8 @@ LINK = ("-shared", "-s")
 WINDOWS = ("windows.c", "msvcrt.def")
 # of the core, for zig on the platforms where the core's loops choose their instructions; nothing here could run them on macOS
 PROCESSOR = "processor.c"
-LINKING = (
-    15  # units of the core that take as long as a library, for which the compiler makes its own libraries where it has not yet
-)
+# units of the core that take as long as a library, for which the compiler makes its own libraries where it has not yet
+LINKING = 15
 CLONED = ("x86_64-linux", "x86_64-windows")
 
 
