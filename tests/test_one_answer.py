@@ -66,6 +66,9 @@ def test_an_effect_answers_for_no_friction_that_the_evidence_chooses_beside_it(t
     key = "sum_U_width_without_margin"
     assert done.after[key] <= (1 + limit.WIDER) * done.before[key]
     assert not {"cubic_viscous:arm_1_joint"} & {f.label for f in done.model.effects}
+    # joint by joint the widths are held against those of the same recordings, as the sum is: the model's own were of others
+    assert done.without is not None and done.without is not model
+    assert float(done.without.powered.U.width.sum()) == pytest.approx(done.before["sum_U_width"])
     # what decided stands in the file, and comes back as it was
     save_model(done.model, tmp_path / "m.json")
     settings = settings_of(load_model(tmp_path / "m.json"))

@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
                 say(f"  {line}")
     if done.model is not None:
         say(f"before -> after, errors judged on {done.judged_on}")
-        widths = {f"U_width:{j}": (a, b) for j, a, b in _widths(model, done.model)}
+        widths = {f"U_width:{j}": (a, b) for j, a, b in _widths(done.without, done.model)}
         before, after = (dict(f) | {k: w[side] for k, w in widths.items()} for side, f in enumerate((done.before, done.after)))
         own = dict.fromkeys(joint for j in done.judged if not j.why for joint in _joints(j.name))
         for line in (*_there(own, before, after), "over the whole arm", *_changes(before, after)):
@@ -129,9 +129,10 @@ def _there(joints: Iterable[str], before: Mapping[str, float], after: Mapping[st
     return [line for j in joints for line in (f"at {j}", *_changes(before, after, j))]
 
 
-def _widths(before: Model, after: Model) -> list[tuple[str, float, float]]:
-    """Of each joint: how wide its unknown torque is [N m], before and after."""
-    return list(zip(before.joints, before.powered.U.width.tolist(), after.powered.U.width.tolist(), strict=True))
+def _widths(before: Model | None, after: Model) -> list[tuple[str, float, float]]:
+    """Of each joint: how wide its unknown torque is [N m], of the same recordings before (infinite where no sets enclose them) and after."""
+    first = before.powered.U.width.tolist() if before else [float("inf")] * after.n
+    return list(zip(after.joints, first, after.powered.U.width.tolist(), strict=True))
 
 
 def _line(what: str, a: float, b: float) -> str:

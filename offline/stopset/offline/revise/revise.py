@@ -45,6 +45,7 @@ class Revised:
     after: dict[str, float]
     judged: tuple[Judged, ...]
     judged_on: str
+    without: Model | None = None  # of the same recordings, which its sets are compared with; None where no sets enclose them
     retained: RetainedSums | RetainedSignals | None = None  # what later recordings can be added to, where that was asked for
 
     @property
@@ -78,10 +79,10 @@ def add(
     taken = [j for j in verdict.judged if not j.why]
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
-    found, figures, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
+    found, without, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
     fresh = found.model
     progress("bounding stops before and after")
-    before = figures | verdict.first | stop_figures(model, fresh)
+    before = _figures(model, without) | verdict.first | stop_figures(model, fresh)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
     after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
     if refused:
@@ -90,13 +91,13 @@ def add(
     number = model.revisions[-1].number + 1 if model.revisions else 1
     revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
     revised = replace(fresh, revisions=(*model.revisions, revision))
-    return Revised(revised, before, after, verdict.judged, verdict.words, found.retained)
+    return Revised(revised, before, after, verdict.judged, verdict.words, without, found.retained)
 
 
 def _revision(
     model: Model, campaign: Campaign, verdict: Judgement, progress: Progress, *, force: bool, keep: Keep
-) -> tuple[Identification, dict[str, float], str]:
-    """The new revision, figures of the model (widths of U: of the same recordings) without what is added, and why it is refused.
+) -> tuple[Identification, Model | None, str]:
+    """The new revision, the model of the same recordings without what is added (None: no sets enclose them), and why it is refused.
 
     What is added is to answer for the widths, not friction that the evidence happens to choose otherwise beside it: a revision
     that is wider is identified again with laws among those that there are without it.
@@ -105,19 +106,26 @@ def _revision(
     progress("identifying the new revision")
     found = identified(robot, campaign, verdict.settings, progress, known=verdict.known, keep=keep)
     without: Model | None = model
-    figures = dict(model.revisions[-1].after) if model.revisions else {}
     if not own(model, campaign.meta):
         progress("identifying these recordings without it")
         without = _plain(model, campaign)
-        figures |= {key: without.revisions[-1].after[key] if without else float("inf") for key in WIDTHS}
-    refused = "" if force else widened(figures, found.model.revisions[-1].after)
+    before = _figures(model, without)
+    refused = "" if force else widened(before, found.model.revisions[-1].after)
     among, chosen = (() if m is None else tuple(m.provenance.get("chosen", ())) for m in (without, found.model))
     if refused and not set(chosen) <= set(among):
         progress("identifying it with the friction that there is without it")
         alike = replace(verdict.settings, friction_among=among)
         found = identified(robot, campaign, alike, progress, known=verdict.known, keep=keep)
-        refused = widened(figures, found.model.revisions[-1].after)
-    return found, figures, refused
+        refused = widened(before, found.model.revisions[-1].after)
+    return found, without, refused
+
+
+def _figures(model: Model, without: Model | None) -> dict[str, float]:
+    """Figures of the model, with the widths of U of the same recordings: of another day's they are infinite where none enclose them."""
+    figures = dict(model.revisions[-1].after) if model.revisions else {}
+    if without is model:
+        return figures
+    return figures | {key: without.revisions[-1].after[key] if without else float("inf") for key in WIDTHS}
 
 
 def _plain(model: Model, campaign: Campaign) -> Model | None:
