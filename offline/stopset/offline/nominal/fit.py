@@ -196,8 +196,8 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     theta, notes, limited = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
     if scale > 1.5:
         another = "" if scale < ANOTHER_ARM else (
-            "; masses are hardly off by so much: look at the zeros and axes of the joints and at how the arm is mounted, for what the TCP "
-            "and the links sweep in a stop is the description's"
+            "; unless its masses are placeholders, look at the zeros and axes of the joints and at how the arm is mounted: what the TCP and "
+            "the links sweep in a stop is the description's"
         )  # fmt: skip
         notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less{another}")
     if weighed.loaded:
