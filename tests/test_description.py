@@ -111,6 +111,13 @@ def test_limits_and_products_of_inertia_that_are_missing() -> None:
     assert "no lower, velocity limit; taken as unlimited" in " ".join(full.notes)
 
 
+def test_a_speed_or_an_effort_of_nothing_is_none_that_was_given() -> None:
+    """As a limit it made a table of stops from 0 rad/s."""
+    robot = robot_from_text(serial("revolute", "revolute", more='<limit lower="-1" upper="1" effort="0" velocity="0.0"/>'))
+    assert robot.dq_limit.tolist() == [2.0, np.inf] and np.isinf(robot.torque_limit[1])
+    assert "no velocity, effort limit; taken as unlimited" in " ".join(robot.notes)
+
+
 # ---- what is no arm is refused by name
 
 
