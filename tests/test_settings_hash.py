@@ -80,7 +80,7 @@ LEFT_OUT = (
     ("stopset.offline.identify.constants", "SCHEMA TABLE HASHED_AS", "the table itself"),
     ("stopset.offline.update.update", "WIDEST", REFUSED),
     ("stopset.offline.description.agreement", "STATES AGREES FAST", GATE),
-    ("stopset.offline.description.complete", "FREE PRODUCTS", FORMAT),
+    ("stopset.offline.description.complete", "FREE PRODUCTS TURNING", FORMAT),
     ("stopset.offline.description.enclose", "ROUND OUTWARD", "how tightly a link's shape is enclosed; that it is, is checked after"),
     ("stopset.offline.description.outline", "TURNS", "kinds of joints in a URDF"),
     ("stopset.offline.campaign.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
