@@ -564,7 +564,7 @@ def test_p24_an_unstated_effort_is_refused(tmp_path) -> None:
     # columns of torque are in N m by the format's own word; that they are the motors' is assumed, and said
     assert any("taken as motor torque" in w for w in read_meta(save(tmp_path / "c.parquet", table, None)).warnings)
     bare = {k: v for k, v in table.items() if not k.startswith("tau_")}
-    with pytest.raises(RecordingError, match="effort kind"):
+    with pytest.raises(RecordingError, match=r"no tau_axis_1, and no metadata .*effort"):
         read_meta(save(tmp_path / "d.parquet", bare, None))
 
 

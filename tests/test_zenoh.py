@@ -91,6 +91,8 @@ def test_what_a_busy_machine_sent_late_does_not_stay_late() -> None:
     seen: list[tuple[int, int]] = []
 
     class Slow:
+        stamped = True
+
         def sample(self, values: object, stamp_ns: int) -> None:
             seen.append((stamp_ns, time.time_ns()))
             time.sleep(0.012 if len(seen) <= 25 else 0.0)
