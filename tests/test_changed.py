@@ -158,6 +158,15 @@ def test_of_torque_farther_off_than_can_be_searched_nothing_is_named(program: Pa
         diagnose_model(program.model, _logged(program.scenario, LATER, late=0.1))
 
 
+def test_recordings_of_two_clocks_are_asked_apart(program: Pair) -> None:
+    """The mean of their lags is true of neither."""
+    one, other = _logged(program.scenario, LATER), _logged(program.scenario, LATER + 1, late=0.04)
+    meta = replace(one.meta, sources=(*one.meta.sources, *other.meta.sources))
+    both = Recordings(meta, (*one.trials, *(replace(r, file=1) for r in other.trials)))
+    with pytest.raises(RecordingError, match=r"nothing is named .* behind .* ask of each apart"):
+        diagnose_model(program.model, both)
+
+
 def test_a_shared_motor_that_leaves_no_trace_is_none(program: Pair) -> None:
     """One that was looked for, not asked for, may be missing beside all else."""
     r = _logged(program.scenario, 107)

@@ -10,6 +10,7 @@ import pytest
 from stopset.artifact import Model
 from stopset.cli.main import main
 from stopset.effects import catalogue
+from stopset.errors import RecordingError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose_model
@@ -68,6 +69,22 @@ def test_beside_the_mounted_mass_nothing_is_named(short: Model, shared_data, fil
     assert [r.label for r in found.ranked] == ["payload"]
     m = found.ranked[0].parameters["m"]
     assert m.std is not None and abs(m.value - MOUNTED) < 1.96 * m.std and m.std < 0.06 * MOUNTED
+
+
+@pytest.mark.shared
+def test_a_load_that_some_recordings_carry_is_not_weighed_by_half(short: Model, shared_data) -> None:  # type: ignore[no-untyped-def]
+    """Asked together a free and a loaded one were told as 1.64 kg, and as torque 23 ms late."""
+    folder: Path = shared_data("ur10e")
+    free = read_recordings(folder / "identification.parquet")
+    one = replace(next(r for r in free if r.suite == 15), place=0)
+    loaded = read_recordings(folder / "payload_a.parquet")
+    both = replace(
+        loaded,
+        meta=replace(loaded.meta, sources=(("free.parquet", "free"), *loaded.meta.sources)),
+        trials=(one, *(replace(r, file=1) for r in loaded.trials)),
+    )
+    with pytest.raises(RecordingError, match=r"nothing is named .*kg more hung at the flange.* ask of each apart"):
+        diagnose_model(short, both)
 
 
 @pytest.mark.shared

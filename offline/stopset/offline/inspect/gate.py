@@ -93,14 +93,7 @@ def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed:
 
     A load that some recordings carry would end in the torque sets of all.  What else differs (``mixed``: that, too) is returned.
     """
-    names = [name for name, _ in meta.sources]
-    if len(names) < 2 or meta.effort == "compensated_torque":
-        return ()
-    sums: list[NormalEquations | None] = [None] * len(names)
-    for k, some in groupby(trials, key=lambda r: r.file):
-        if k < len(sums):
-            sums[k] = accumulate(robot, some, usual_friction())
-    found = dissents(robot, sums)
+    names, found = [name for name, _ in meta.sources], _dissents(robot, meta, trials)
     late = next((d for d in found if isinstance(d, OwnClock)), None)
     if late is not None and not mixed:
         raise RecordingError(f"{late.seen(names)}; expected one clock: {ALIGN}, or say --mixed to take them as they are")
@@ -116,6 +109,31 @@ def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed:
     return clocks + tuple(
         f"inspect says (warning): {d.joint}: {d.seen(names)}; expected files of one arm in one state" for d in rest
     )
+
+
+def check_one_state(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> None:
+    """As `check_files`, before effects are named: what only some of the files have, a load or a lag, would be found by half.
+
+    Raises `RecordingError`.
+    """
+    names, found = [name for name, _ in meta.sources], _dissents(robot, meta, trials)
+    for d in found:
+        if isinstance(d, OwnClock) or d.mass is not None:
+            raise RecordingError(
+                f"nothing is named from these recordings together: {d.seen(names)}; expected files of one arm in one state and on one "
+                "clock: ask of each apart"
+            )
+
+
+def _dissents(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[Dissent | OwnClock]:
+    """What files say against each other; of compensated torque nothing."""
+    if len(meta.sources) < 2 or meta.effort == "compensated_torque":
+        return []
+    sums: list[NormalEquations | None] = [None] * len(meta.sources)
+    for k, some in groupby(trials, key=lambda r: r.file):
+        if k < len(sums):
+            sums[k] = accumulate(robot, some, usual_friction())
+    return dissents(robot, sums)
 
 
 def _in_words(found: Iterable[Finding]) -> tuple[str, ...]:
