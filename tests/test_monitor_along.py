@@ -24,7 +24,7 @@ from stopset.monitor.layout import State
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.watch import Watch, check_cycle
-from stopset.reach.nonlinear import dynamics, predicted_tube
+from stopset.reach.nonlinear import dynamics, parts, predicted_tube
 from stopset.sets import Box
 from stopset.types import Array
 from test_monitor_daemon import Arm, Script, Wire
@@ -280,6 +280,13 @@ def test_ages_reach_the_horizon() -> None:
     assert ages(1) == [1] and ages(2) == [1, 2] and ages(5) == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.parametrize("damping", [1e9, 1e300])
+def test_damping_that_no_number_of_parts_is_enough_for_is_not_predicted_with(damping: float) -> None:
+    a = replace(curved().abstraction, viscous=damping * CURVED)
+    with pytest.raises(NotCovered, match="parts of a step"):
+        parts(a, DT, np.full(6, 3.0))
+
+
 def test_a_saved_nonlinear_model_is_watched_with(tmp_path: Path) -> None:
     save_model(curved(), tmp_path / "m.model.json")
     model = load_model(tmp_path / "m.model.json")
@@ -290,6 +297,9 @@ def test_a_saved_nonlinear_model_is_watched_with(tmp_path: Path) -> None:
 def test_the_daemon_runs_and_records_with_it(which: str, tmp_path: Path) -> None:
     """Real loop, recorder and stop bounds: verdicts are given, a violation is latched and written, no fault comes out."""
     model = save_model(MODELS[which](), tmp_path / "arm.model.json")
+    again = load_model(tmp_path / "arm.model.json")  # as the process of stop bounds reads it; some joints have no Coriolis torque
+    at = np.full((2, 6), 0.3)
+    assert again.sha256 == model.sha256 and np.array_equal(again.abstraction.ddq(at, at, at), model.abstraction.ddq(at, at, at))
     x, tau = read(model, 1, 200)
     tau[100:, 2] *= 1.8
     script: Script = [Sample(k, 0.0, x[k, :6], x[k, 6:], tau[k]) for k in range(200)]

@@ -6,7 +6,7 @@ Model 1 keeps only ``M^-1(q_a)`` and a viscous polynomial per joint; models 2 an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -38,6 +38,14 @@ class Abstraction:
     offset: Array = field(default_factory=lambda: np.zeros(0))
     standstill: Array = field(default_factory=lambda: np.zeros(0))
     swift: bool = False
+
+    def __post_init__(self) -> None:
+        """A polynomial without terms, which a file holds without its variables, is one of them all the same."""
+        for name, variables in (("coriolis", 3 * self.n), ("acceleration", 4 * self.n)):
+            whole = (
+                p if p.exponent.size else replace(p, exponent=np.zeros((0, variables), np.int64)) for p in getattr(self, name)
+            )
+            object.__setattr__(self, name, tuple(whole))
 
     @property
     def n(self) -> int:
