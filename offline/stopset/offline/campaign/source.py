@@ -85,7 +85,6 @@ def joined(old: Meta, paths: Sequence[str | Path]) -> Meta:
                 f"{name} (SHA-256 {sha256[:16]}...) is part of this model already, as {seen[sha256]}; expected new recordings: "
                 "leave it out"
             )
-        seen[sha256] = name
     if new.effort != old.effort:
         raise RecordingError(
             f"the new recordings hold {new.effort}, the model was identified from {old.effort}; give the same kind of torque"
