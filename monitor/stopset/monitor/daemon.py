@@ -34,7 +34,7 @@ from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.report import RunCounts, Turn, health, twin
 from stopset.monitor.sample import Sample
-from stopset.monitor.source import NoSource, SampleSource, resumed
+from stopset.monitor.source import NoSource, SampleSource, drives_of, resumed
 from stopset.monitor.spawned import Spawned
 from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide
 from stopset.monitor.stopdesk import StopDesk, seen_by
@@ -44,6 +44,7 @@ from stopset.monitor.watch import check_cycle
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it
 PATIENCE = 0.01  # [s] longest wait for a sample before the heartbeat goes out without one
 FALLBACK_IN_FORCE = int(Flag.FALLBACK_IN_FORCE)
+HIDDEN = 2.0  # [s] after a reset in which another says nothing of what the first has laid bare
 LATE = 3  # samples in a row that came later than they are valid for
 
 
@@ -77,6 +78,8 @@ class Daemon:
         self._use(self._prepare(model, beside.desk, beside.begun))
         self.recovery = Recovery(self.limits)
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
+        self._cleared = float("-inf")
+        self._remind()
         self.operators = Operators.of(config.operators)
         self.stopping = False
         self.sample: Sample | None = None
@@ -145,6 +148,7 @@ class Daemon:
     def cycle(self) -> None:
         """Wait for a sample (not longer than a heartbeat), judge it, publish."""
         sample = self.source.next(max(PATIENCE, 2 * self.cycle_s))
+        self._heed()
         begin = self.clock.monotonic()
         if sample is not None:
             self._take(sample, begin)
@@ -158,6 +162,16 @@ class Daemon:
             self.tally.busy.add(self.clock.monotonic() - begin)
         self._slow_messages(begin, turn)
         self._fault = ""
+
+    def _heed(self) -> None:
+        """What drives say once is kept before anything else happens."""
+        if (drives := drives_of(self.source)) is not None:
+            self.latch.hear(drives.in_force)
+
+    def _remind(self) -> None:
+        """A source that was just opened has not heard what drives said before."""
+        if (drives := drives_of(self.source)) is not None:
+            drives.recall(self.latch.record.emergencies)
 
     def _take(self, s: Sample, now: float) -> None:
         first = self.sample is None
@@ -236,17 +250,27 @@ class Daemon:
         self._say_recorded(now)
 
     def _clear(self, order: Reset, now: float) -> None:
-        """A person clears the latch, if this one may."""
-        who, p = self.operators, self.publisher
+        """A person clears the latch, if this one may; where nothing is latched, the emergencies, which a latch would have hidden."""
+        who, p, drives = self.operators, self.publisher, drives_of(self.source)
+        emergencies = {} if self.latch.latched else self.latch.record.emergencies
         if why := who.refused(order, Moment(self.config.data_id, p.boot, p.seq)):
             p.seldom("reset_refused", why=why)
+            return
+        if emergencies and now - self._cleared < HIDDEN:
+            p.seldom("reset_refused", why="an emergency of a drive stood behind what was just cleared; look at it, and order anew")
             return
         name = who.name(order)
         p.event(
             "reset", name=name, reason=order.reason, proven=bool(who.keys), key=order.key if who.keys else "",
             cleared=self.latch.count, joints=list(self.latch.joints),
+            emergencies={joint: f"0x{code:04X}" for joint, code in emergencies.items()},
         )  # fmt: skip
+        self._cleared = now
         self.latch.reset(name, order.reason, now)
+        if emergencies:
+            self.latch.hear({})
+            if drives is not None:
+                drives.dismiss()
 
     def _say_recorded(self, now: float) -> None:
         """What the recorder has found since the last turn."""
@@ -322,6 +346,7 @@ class Daemon:
         return 0
 
     def _lost_bus(self, words: str, reopen: Callable[[], SampleSource]) -> None:
+        self._heed()
         with contextlib.suppress(Exception):  # it is lost anyway
             self.source.close()
         self._arrived = float("-inf")
@@ -337,6 +362,7 @@ class Daemon:
                 self.clock.sleep(PATIENCE)
             try:
                 self.source = resumed(reopen(), self.source)
+                self._remind()
                 self.watch.restart()  # a new source counts its cycles anew
                 return
             except BusError as e:
