@@ -276,7 +276,7 @@ def test_an_emergency_ends_with_the_drive_s_own_start_and_not_with_an_order_to_s
     for cob, data in alive:
         other.frame(cob, data, 1.0)
     other.nodes.recall({**d.nodes.in_force, "no such joint": 1})
-    assert other.nodes.bad(1.0) == d.nodes.bad(1.0) and not other.nodes.standing[5] == other.nodes.standing[4]
+    assert other.nodes.bad(1.0) == d.nodes.bad(1.0) and other.nodes.standing[5] != other.nodes.standing[4]
     for cob, data in [(0x705, b"\x00"), (0x705, b"\x05")]:
         d.frame(cob, data, 1.0)
     other.nodes.dismiss()

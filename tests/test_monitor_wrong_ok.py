@@ -270,6 +270,41 @@ def test_no_input_ends_or_hangs_the_daemon(tmp_path: Path) -> None:
         assert health["orders_dropped"] > 1000 and health["send_errors"] == 0
 
 
+@pytest.mark.parametrize("through", ["bus", "joint_states"])
+def test_a_bus_of_another_cycle_than_the_model_s_is_no_ok_and_said(cell: Cell, through: str) -> None:
+    """Five per cent slower: its SYNC counter goes on by one all the same, and stamps look like lost ones."""
+
+    def says_so(ear: Ear) -> bool:
+        return "samples come every 4.2" in ear.twins[-1]["why"] and "identified at steps of 4 ms" in ear.twins[-1]["why"]
+
+    if through == "joint_states":
+        text, source = cell.config.read_text(), f'[bus]\nlink = "hub:{cell.bus}"'
+        cell.config.write_text(text.replace(source, '[joint_states]\nkey = "js"\ncycle_s = 0.004'))
+    with cell.daemon(), Ear(cell.port) as ear, contextlib.ExitStack() as stack:
+        if through == "bus":
+            stack.enter_context(cell.replay("healthy", "--loop", "--speed", str(4.0 / 4.2)))
+        else:
+            send, sending = ear.link.fast("/js"), threading.Event()
+
+            def sender() -> None:
+                begin, k = time.time_ns(), 0
+                while not sending.wait(max(0.0, (begin + 4_200_000 * k - time.time_ns()) * 1e-9)):
+                    send(joint_state(k, begin + 4_200_000 * k))
+                    k += 1
+
+            thread = threading.Thread(target=sender)
+            stack.callback(thread.join)
+            stack.callback(sending.set)
+            thread.start()
+        assert ear.wait(lambda: ear.twins and says_so(ear), 40.0), {t["why"] for t in ear.twins}
+        rest(1.0)
+        begun = len(ear.raw)
+        rest(2.0)
+        assert ear.wait(lambda: says_so(ear)), {t["why"] for t in ear.twins[-10:]}
+        assert any(e["kind"] == "pace" for e in ear.events)
+        assert not GOOD & set(ear.states[begun:]), "no OK on it"
+
+
 def hear_once(ear: Ear, name: str) -> bytes:
     got: list[bytes] = []
     ear.link.subscribe(name, lambda _, d: got.append(d))

@@ -27,6 +27,7 @@ from stopset.monitor.message import CODES, Observed, StateMessage
 from stopset.monitor.notify import Notifier
 from stopset.monitor.operators import Moment, Operators
 from stopset.monitor.orders import Orders, Reset
+from stopset.monitor.pace import Pace
 from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import Outlet, Publisher
 from stopset.monitor.realtime import Granted
@@ -82,6 +83,7 @@ class Daemon:
         self._remind()
         self.operators = Operators.of(config.operators)
         self.stopping = False
+        self.pace = Pace(cycle_s / (config.bus.time_scale if config.bus else 1.0))
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
         self._arrived = float("-inf")
@@ -177,6 +179,7 @@ class Daemon:
         first = self.sample is None
         self.sample, self._arrived = s, now
         self._evidence.append(s)
+        self.pace.take(s.t)
         v = self.verdict = self.watch.step(s)
         t = self.tally
         t.samples += 1
@@ -205,6 +208,8 @@ class Daemon:
         if v.conformance is Conformance.FAULT:
             t.faults += 1
             self.publisher.seldom("fault", why=v.why)
+        if self.pace.why:
+            self.publisher.seldom("pace", why=self.pace.why)
         if v.gap:
             t.gaps += 1
             self.publisher.seldom("gap", why=v.why)
@@ -221,7 +226,7 @@ class Daemon:
         stale = since > self.config.publish.stale_ms * 1e-3
         situation = Situation(
             s is not None, self._fault, stale, self._late_in_a_row >= LATE, self.latch.record.why, age, since, s, self.verdict,
-            fresh, numbers,
+            fresh, numbers, self.pace.why,
         )  # fmt: skip
         state, flags, why = decide(situation, self.limits)
         state, held, why = self.recovery.hold(state, why, now, ahead)
@@ -257,7 +262,9 @@ class Daemon:
             p.seldom("reset_refused", why=why)
             return
         if emergencies and now - self._cleared < HIDDEN:
-            p.seldom("reset_refused", why="an emergency of a drive stood behind what was just cleared; look at it, and order anew")
+            p.seldom(
+                "reset_refused", why="an emergency of a drive stood behind what was just cleared; look at it, and order anew"
+            )
             return
         name = who.name(order)
         p.event(
