@@ -167,7 +167,8 @@ class Model:
     ``robot`` carries the identified standard parameters and geometry: ``robot.pi`` holds what the arm carried when it was
     recorded, a payload found as an effect included, and ``domain.payload`` comes on top of it; so nobody adds an effect of
     role ``plant`` again; ``rotor``: (n,) identified reflected inertia [kg m^2]; ``inertia_std``: (n,) [kg m^2] standard error of the
-    inertia about each axis, rotor and links, infinite where the torque shows no rotor, None in files of versions that did not say;
+    inertia about each axis, rotor and links, as far as no set holds it at a stop's decelerations (0 where brakes and sets are those of
+    recorded stops); infinite where the torque shows no rotor, None in files of versions that did not say;
     ``effects``: friction and other effects with numbers; ``effort``: the kind of torque the data held
     (``compensated_torque``: it already is ``u`` of eq. (11)); ``sets`` by regime name.
     """

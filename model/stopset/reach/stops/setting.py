@@ -43,10 +43,10 @@ def rotor_of(model: Model) -> Box:
             f"the recorded torque shows no rotor's inertia and robot.json states none for {', '.join(np.array(model.joints)[unknown])}; "
             "brakes have to stop the rotors too: state reflected_motor_inertia_kgm2 there (0 where there is none) and identify again"
         )
-    seen = np.isfinite(std)
+    stated = np.where(np.isfinite(stated) & (std > 0.0), stated, identified)
     lo, hi = np.maximum(identified - SIGMAS * std, 0.0), identified + SIGMAS * std
-    stated = np.where(np.isfinite(stated), stated, identified)
-    return Box(np.where(seen, np.minimum(stated, lo), stated), np.where(seen, np.maximum(stated, hi), stated))
+    told = np.isfinite(std)
+    return Box(np.where(told, np.minimum(stated, lo), stated), np.where(told, np.maximum(stated, hi), stated))
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +174,7 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
         yield f"payload weighed by its torque to +- {mass_uncertainty:.3g} kg, its centre as identified"
     if s.extrapolated:
         yield f"{s.extrapolated}; beyond that the rigid body is computed, and friction and U are taken not to change"
-    rotor = rotor_of(model)
-    exact = "" if model.inertia_std is not None or np.any(rotor.width > 0) else ", taken as exact: this model does not say how well they are known"
-    yield f"rotor inertia {_range(rotor)} kg m^2, which holds what the inertia about each axis is uncertain by; other inertias as identified{exact}"
+    yield f"rotor inertia {_range(rotor_of(model))} kg m^2, {_inertia(model)}"
     yield from described(model)
     if np.all(friction.dry.hi == 0):
         yield "Coulomb friction unknown, taken as none"
@@ -190,6 +188,16 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
         yield "the drives give nothing more once power is taken"
     if s.delay_spread is not None:
         yield _delay_spread(s.delay_spread, s.lag)
+
+
+def _inertia(model: Model) -> str:
+    """What the inertias of a stop rest on."""
+    std = model.inertia_std
+    if std is None:
+        return "all inertias taken as exact: this model does not say how well they are known"
+    if np.all(std == 0.0):
+        return "all inertias as identified: brakes and U of recorded stops hold what they are wrong by at such decelerations"
+    return f"with {SIGMAS:g} standard errors of the inertia about each axis and what a data sheet states; inertias between axes as identified"
 
 
 def _delay_spread(delay_spread: float, lag: Array | None) -> str:
