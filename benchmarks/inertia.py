@@ -33,8 +33,8 @@ def main() -> None:
     q = np.random.default_rng(0).uniform(*found.span.T, (100, robot.n))
     M = np.median(np.einsum("kii->ki", mass_matrices(robot.chain, found.pi, q)), axis=0) + found.rotor
     for joint, rotor, inertia, error in zip(robot.joints, found.rotor, M, std, strict=True):
-        told = f"{SIGMAS * error / inertia:8.1%}" if np.isfinite(error) else "not told"
-        print(f"{joint:24} rotor {rotor:8.4f}   about the axis {inertia:8.4f}   three standard errors {told}")
+        error_text = f"{SIGMAS * error / inertia:8.1%}" if np.isfinite(error) else "not told"
+        print(f"{joint:24} rotor {rotor:8.4f}   about the axis {inertia:8.4f}   three standard errors {error_text}")
 
 
 if __name__ == "__main__":

@@ -34,7 +34,9 @@ from stop_arms import prbt_like
 
 def behind_gears(recordings: Recordings) -> Recordings:
     """The same motions, their torque measured behind the gears: without what accelerates the rotors."""
-    return replace(recordings, trials=tuple(replace(r, tau=r.tau - ROTOR * np.gradient(r.dq, r.t, axis=0)) for r in recordings.trials))
+    return replace(
+        recordings, trials=tuple(replace(r, tau=r.tau - ROTOR * np.gradient(r.dq, r.t, axis=0)) for r in recordings.trials)
+    )
 
 
 def std_of(robot: Robot, recordings: Recordings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -59,7 +61,9 @@ def test_the_stated_error_of_the_inertia_is_honest(motions: int) -> None:
         found = identify_nominal(described, Recordings(Meta(joints=JOINTS), tuple(trials)))
         std = inertia_std(described, found.theta, found.covariance, found.span, found.prior)
         q = np.random.default_rng(seed).uniform(found.span[:, 0], found.span[:, 1], (50, 3))
-        off = mass_matrices(true.chain, true.pi, q) + np.diag(ROTOR) - mass_matrices(true.chain, found.pi, q) - np.diag(found.rotor)
+        off = (
+            mass_matrices(true.chain, true.pi, q) + np.diag(ROTOR) - mass_matrices(true.chain, found.pi, q) - np.diag(found.rotor)
+        )
         z.append(np.abs(np.einsum("kii->ki", off)).max(axis=0) / std)
     assert np.isfinite(z).all()
     assert float(np.mean(np.array(z) < SIGMAS)) >= 23 / 24, z
@@ -112,7 +116,7 @@ def test_torque_behind_the_gears_bounds_no_stop_without_a_data_sheet(tmp_path: P
     assert np.all(np.isinf(without)) and np.all(rotor < 0.05)
     model = replace(identified(arm(sheet=False), data, tmp_path / "a.parquet"), brakes=prbt_brakes(3))
     assert any("behind the gears" in x and "no stop is bounded" in x for x in model.notes)
-    with pytest.raises(NotCovered, match="shows no rotor's inertia and robot.json states none for base, shoulder, elbow"):
+    with pytest.raises(NotCovered, match="states none for base, shoulder, elbow"):
         StopBounds.of(model)
     saved = save_model(model, tmp_path / "m.model.json")
     again = load_model(tmp_path / "m.model.json")
@@ -142,7 +146,7 @@ def test_motor_torque_shows_the_rotors_and_a_sheet_is_one_opinion_more(tmp_path:
     assert np.all(np.isfinite(std)) and np.all(SIGMAS * std < 0.2 * rotor)
     model = identified(arm(), data, tmp_path / "a.parquet")
     box = rotor_of(model)
-    assert np.all(box.lo < ROTOR) and np.all(ROTOR < box.hi) and np.all(box.width < 0.4 * ROTOR)
+    assert np.all(box.lo < ROTOR) and np.all(box.hi > ROTOR) and np.all(box.width < 0.4 * ROTOR)
     assert np.all(rotor_of(replace(model, inertia_std=None)).width == 0.0)  # older files do not say
 
 

@@ -45,8 +45,8 @@ def rotor_of(model: Model) -> Box:
         )
     stated = np.where(np.isfinite(stated) & (std > 0.0), stated, identified)
     lo, hi = np.maximum(identified - SIGMAS * std, 0.0), identified + SIGMAS * std
-    told = np.isfinite(std)
-    return Box(np.where(told, np.minimum(stated, lo), stated), np.where(told, np.maximum(stated, hi), stated))
+    known = np.isfinite(std)
+    return Box(np.where(known, np.minimum(stated, lo), stated), np.where(known, np.maximum(stated, hi), stated))
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,8 @@ from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
-from stopset.offline.nominal.rotors import inertia_std, unseen_rotors
 from stopset.offline.nominal.preprocess import Preprocessing
+from stopset.offline.nominal.rotors import inertia_std, unseen_rotors
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix

@@ -70,7 +70,9 @@ def unseen_rotors(robot: Robot, std: Array) -> tuple[str, ...]:
     unseen = ~np.isfinite(std)
     if not unseen.any():
         return ()
-    missing = [j for j, d, open_ in zip(robot.joints, robot.drives, unseen, strict=True) if open_ and not np.isfinite(d.rotor_inertia)]
+    missing = [
+        j for j, d, open_ in zip(robot.joints, robot.drives, unseen, strict=True) if open_ and not np.isfinite(d.rotor_inertia)
+    ]
     seen = (
         "no joint's torque shows the inertia of a rotor, as torque does that is measured behind the gears (joint torque sensors): what "
         "brakes have to stop is not in it"
