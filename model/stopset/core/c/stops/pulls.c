@@ -18,10 +18,17 @@ typedef struct {
     double lo[SN], hi[SN], mid[SN], rad[SN], size[SN], loose[SN], beyond[SN];
 } Met;
 
+/* M with joints in the moving set; `from`, without `joint`, as long as its slopes have not followed: most rows need none. */
+typedef struct Pivoted {
+    Along A;
+    struct Pivoted *from;
+    int joint;
+} Pivoted;
+
 typedef struct {
     const Span *v, *p, *enough; /* enough: where no more is asked of rest */
     Span *out, *rest;
-    Along start; /* M */
+    Pivoted start; /* M */
     Met met;
     double loose[SN], beyond[SN], shared; /* how far M v can be from M_c v, all of it and beyond slopes */
     int n, inside[SN], open[SN], count;
@@ -62,9 +69,15 @@ UNROLLED void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
     }
 }
 
-/* By the slopes of one group: what its angles or the payload do to the middle of all of row i, and what is beyond, added; the row's own number is
- * in either of `boxes` boxes. */
-UNROLLED void add_slopes(int n, const Along *A, const Met *x, int i, int g, int boxes, const double *mid, const double *rad, Four *out) {
+/* A row's own number in one box or either of two; by slopes, what angles and the payload do to the middle of all of the row, and what is beyond. */
+typedef struct {
+    int boxes;
+    double mid[2], rad[2];
+    Four sum[2];
+} Loose;
+
+/* The slopes of group g of row i, added. */
+UNROLLED void add_slopes(int n, const Along *A, const Met *x, int i, int g, Loose *out) {
     const Four *slope = A->slope[g], own = slope[pair(i, i)], size = SIZES_OF(own);
     Four turn = {0}, spread = {0};
     for (int j = 0; j < i; j++) {
@@ -77,7 +90,14 @@ UNROLLED void add_slopes(int n, const Along *A, const Met *x, int i, int g, int 
         turn += e * x->mid[j];
         spread += SIZES_OF(e) * x->rad[j];
     }
-    for (int k = 0; k < boxes; k++) out[k] += SIZES_OF(turn + own * mid[k]) + (spread + size * rad[k]);
+    for (int k = 0; k < out->boxes; k++) out->sum[k] += SIZES_OF(turn + own * out->mid[k]) + (spread + size * out->rad[k]);
+}
+
+static void follow_slopes(int n, Pivoted *x) {
+    if (!x->from) return;
+    follow_slopes(n, x->from);
+    stops_pivot_slopes(n, &x->from->A, x->joint, &x->A);
+    x->from = 0;
 }
 
 /* How far a row is from that at the entries' middle. */
@@ -87,56 +107,60 @@ static inline double away(double loose, double spread, double scale, double shar
 
 /* Row i of a joint inside: its speed. Its own entry is below zero: a pivot makes it so, others lower it. Sizes only add up: what another set of
  * joints has said better already is not asked how loose all of it is. */
-UNROLLED void read_speed(int n, const Along *A, const Rows *rows, int i, Exchange *x) {
+UNROLLED void read_speed(int n, Pivoted *at, const Rows *rows, int i, Exchange *x) {
+    const Along *A = &at->A;
     const Met *met = &x->met;
     const double own = A->own[i], size = size_of(own), lo = -(rows->hi[i] + own * met->lo[i]), hi = -(rows->lo[i] + own * met->hi[i]);
     const double loose = rows->loose[i] + size * met->loose[i], beyond = rows->beyond[i] + size * met->beyond[i], scale = rows->scale[i] + size * met->size[i];
     double off = away(loose, beyond, scale, x->shared);
-    Four sum = {0};
+    Loose all = {1, {met->mid[i]}, {met->rad[i]}, {{0}, {0}}};
     for (int g = 0; g < groups_of(n); g++) {
         if (lo - off <= x->out->lo[i] && hi + off >= x->out->hi[i]) return;
-        add_slopes(n, A, met, i, g, 1, met->mid + i, met->rad + i, &sum);
-        off = away(loose, sum_of(&sum) + beyond, scale, x->shared);
+        follow_slopes(n, at);
+        add_slopes(n, A, met, i, g, &all);
+        off = away(loose, sum_of(all.sum) + beyond, scale, x->shared);
     }
     x->out->lo[i] = most(x->out->lo[i], lo - off);
     x->out->hi[i] = least(x->out->hi[i], hi + off);
 }
 
 /* Row i of another: how much momentum the others pull at it where it does not move forward, and where it does not move backward. */
-UNROLLED void read_pulls(int n, const Along *A, const Rows *rows, int i, Exchange *x) {
+UNROLLED void read_pulls(int n, Pivoted *at, const Rows *rows, int i, Exchange *x) {
+    const Along *A = &at->A;
     Span *rest = x->rest;
     const double own = A->own[i], v_lo = x->v->lo[i], v_hi = x->v->hi[i], loose = rows->loose[i] + x->loose[i], beyond = rows->beyond[i] + x->beyond[i];
     const double lo[2] = {v_lo, most(v_lo, 0.0)}, hi[2] = {least(v_hi, 0.0), v_hi};
     const double up = rows->hi[i] + own * (own > 0.0 ? hi[0] : lo[0]), down = rows->lo[i] + own * (own > 0.0 ? lo[1] : hi[1]);
     const int asks_up = v_lo <= 0.0 && rest->hi[i] > x->enough->hi[i], asks_down = v_hi >= 0.0 && rest->lo[i] < x->enough->lo[i];
-    double mid[2], rad[2], scale[2], off[2];
-    Four sum[2] = {{0}, {0}};
+    double scale[2], off[2];
+    Loose all = {2, {0.0, 0.0}, {0.0, 0.0}, {{0}, {0}}};
     for (int k = 0; k < 2; k++) {
-        mid[k] = 0.5 * (lo[k] + hi[k]);
-        rad[k] = 0.5 * (hi[k] - lo[k]);
+        all.mid[k] = 0.5 * (lo[k] + hi[k]);
+        all.rad[k] = 0.5 * (hi[k] - lo[k]);
         scale[k] = rows->scale[i] + size_of(own) * largest(lo[k], hi[k]);
         off[k] = away(loose, beyond, scale[k], x->shared);
     }
     for (int g = 0; g < groups_of(n); g++) {
         if (!(asks_up && up + off[0] < rest->hi[i]) && !(asks_down && down - off[1] > rest->lo[i])) return;
-        add_slopes(n, A, &x->met, i, g, 2, mid, rad, sum);
-        for (int k = 0; k < 2; k++) off[k] = away(loose, sum_of(sum + k) + beyond, scale[k], x->shared);
+        follow_slopes(n, at);
+        add_slopes(n, A, &x->met, i, g, &all);
+        for (int k = 0; k < 2; k++) off[k] = away(loose, sum_of(all.sum + k) + beyond, scale[k], x->shared);
     }
     if (asks_up) rest->hi[i] = least(rest->hi[i], up + off[0]);
     if (asks_down) rest->lo[i] = most(rest->lo[i], down - off[1]);
 }
 
-UNROLLED void rows_read(int n, const Along *A, Exchange *x) {
+UNROLLED void rows_read(int n, Pivoted *at, Exchange *x) {
     Rows rows;
-    sum_rows(n, A, &x->met, &rows);
+    sum_rows(n, &at->A, &x->met, &rows);
     for (int i = 0; i < n; i++) {
-        if (x->inside[i] && x->out) read_speed(n, A, &rows, i, x);
-        if (!x->inside[i] && x->rest) read_pulls(n, A, &rows, i, x);
+        if (x->inside[i] && x->out) read_speed(n, at, &rows, i, x);
+        if (!x->inside[i] && x->rest) read_pulls(n, at, &rows, i, x);
     }
 }
 
 /* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
-STOPSET_WIDE static void read_rows(const Along *A, Exchange *x) { SIZED(rows_read, x->n, A, x); }
+STOPSET_WIDE static void read_rows(Pivoted *at, Exchange *x) { SIZED(rows_read, x->n, at, x); }
 
 /* What meets the column of joint j, inside or not. */
 static void meet(Exchange *x, int j, int inside) {
@@ -153,20 +177,22 @@ static void meet(Exchange *x, int j, int inside) {
 }
 
 /* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
-static void visit(const Along *A, int k, Exchange *x) {
-    Along B;
+static void visit(Pivoted *at, int k, Exchange *x) {
+    Pivoted next;
     if (k == x->count) {
-        read_rows(A, x);
+        read_rows(at, x);
         return;
     }
     const int joint = x->open[k];
-    if (A->own[joint] > 1e-6 * x->start.own[joint]) { /* first, as all momenta together mostly say the most */
-        stops_pivot_along(x->n, A, joint, &B);
+    if (at->A.own[joint] > 1e-6 * x->start.A.own[joint]) { /* first, as all momenta together mostly say the most */
+        next.from = at;
+        next.joint = joint;
+        stops_pivot_values(x->n, &at->A, joint, &next.A);
         meet(x, joint, 1);
-        visit(&B, k + 1, x);
+        visit(&next, k + 1, x);
         meet(x, joint, 0);
     }
-    visit(A, k + 1, x);
+    visit(at, k + 1, x);
 }
 
 /* Joint k into the moving set: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement. */
@@ -260,7 +286,8 @@ static void exchange(const Near *near, const Inverse *inverse, const Span *v, co
     x.enough = enough;
     x.shared = near->parts->shared;
     for (int i = 0; i < n; i++) fast[i] = largest(v->lo[i], v->hi[i]);
-    stops_slopes(near, fast, &x.start, push, x.beyond);
+    x.start.from = 0;
+    stops_slopes(near, fast, &x.start.A, push, x.beyond);
     looseness(near, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
         if (rest && v->lo[i] > 0.0) rest->hi[i] = -STOPS_INF;
@@ -309,7 +336,7 @@ static void rates(const Near *near, const Inverse *inverse, const Step *s, const
     const Local *at = &near->at;
     const double share = near->parts->christoffel;
     double loose[SN], bent[2];
-    looseness(near, inverse, w, momenta, loose);
+    if (inverse) looseness(near, inverse, w, momenta, loose);
     for (int i = 0; i < at->n; i++) {
         double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i];
         if (inverse) {
