@@ -55,7 +55,7 @@ def checked(model: Model, name: str, checker: str, flags: list[str], runner: lis
             if good and not stop_refusal(model):
                 equal, bounds = held_against_python(model, kept)
                 said += f"; {equal} of {bounds} bounds are Python's to the last bit"
-                good = equal == bounds > 0
+                good = equal == bounds and (bounds > 0 or bool(runner))  # few runs are made under valgrind
             print(f"{name}, FMI {fmi}, {checker}, {seeds[1]} runs in {took:.0f} s: {said}", flush=True)
             found += not good
     return found
