@@ -38,6 +38,7 @@ from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
 from stopset.monitor.config import load_config
 from stopset.monitor.consumer import Fault
+from stopset.monitor.daemon import HIDDEN
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.journal import SLOT
 from stopset.monitor.layout import LENGTH, Flag, State, unpack
@@ -190,7 +191,7 @@ def test_an_emergency_outlives_a_restart_until_it_is_over(cell: Cell) -> None:
             monitor.kill()
         with cell.daemon() as monitor, Ear(cell.port) as ear:
             assert ear.wait(lambda: names_it(ear), 40.0), {t["why"] for t in ear.twins}
-            rest(0.5)
+            rest(HIDDEN + 0.5)
             assert not GOOD & set(ear.states), "told once, and still in force"
             ear.link.put("reset", b'{"name": "A. Person", "reason": "drive looked at"}')
             assert ear.wait(lambda: GOOD & set(ear.states[-5:])), {t["why"] for t in ear.twins}
