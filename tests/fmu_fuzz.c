@@ -181,6 +181,7 @@ int main(int argc, char **argv) {
         free(saved);
         fmi3FreeInstance(c);
     }
+    if (kept) fclose(kept);
     printf("ok %ld errors, %ld times covered, %ld times certified\n", errors, covered_seen, certified_seen);
     return 0;
 }

@@ -45,7 +45,7 @@ static const char *beyond(const double r[N_REAL], int measured) {
     if (!(r[VR_PAYLOAD_MASS] >= m->payload_lo && r[VR_PAYLOAD_MASS] <= m->payload_hi)) return "the payload is beyond what was identified";
     for (int i = 0; i < NJ; i++) {
         if (!(q[i] >= m->lo[i] && q[i] <= m->hi[i] && dq[i] >= m->lo[NJ + i] && dq[i] <= m->hi[NJ + i])) return "the state is outside the domain";
-        if (!(r[VR_TEMP + i] >= m->lo[3 * NJ + i] && r[VR_TEMP + i] <= m->hi[3 * NJ + i])) return "a temperature is outside the domain";
+        if (m->has_domain_temp && !(r[VR_TEMP + i] >= m->lo[3 * NJ + i] && r[VR_TEMP + i] <= m->hi[3 * NJ + i])) return "a temperature is outside the domain";
         for (int end = 0; end < 2; end++) {
             const unsigned at = (end ? VR_DQ_LO : VR_Q_LO) + (unsigned)i, to = (end ? VR_DQ_HI : VR_Q_HI) + (unsigned)i;
             if (!(r[at] <= r[to] && stopset_finite(r[at]) && stopset_finite(r[to]))) return "its bounds are none";
@@ -60,7 +60,7 @@ static double among(double lo, double hi) { return lo + (hi - lo) * ((double)(dr
 static unsigned somewhere(unsigned *vr, double *x, int starting) {
     const StopsetModel *m = &stopset_model;
     const int stands = !below(4);
-    const double pace = among(0.0, 1.0);
+    const double wide = among(0.0, 1.0), pace = wide * among(0.0, 1.0); /* near its first pose and slow most arms' stops are proved */
     for (unsigned i = 0; i < NJ; i++) {
         const double first = m->start_real[VR_Q_START + i];
         vr[i] = VR_Q_MEASURED + i;
@@ -68,7 +68,7 @@ static unsigned somewhere(unsigned *vr, double *x, int starting) {
         vr[2 * NJ + i] = VR_TEMP + i;
         vr[3 * NJ + i] = VR_Q_START + i;
         vr[4 * NJ + i] = VR_DQ_START + i;
-        x[i] = x[3 * NJ + i] = stands ? first : among(fmax(m->lo[i], first - 3.0), fmin(m->hi[i], first + 3.0));
+        x[i] = x[3 * NJ + i] = stands ? first : among(fmax(m->lo[i], first - 3.0 * wide), fmin(m->hi[i], first + 3.0 * wide));
         x[NJ + i] = x[4 * NJ + i] = stands ? 0.0 : pace * among(m->lo[NJ + i], m->hi[NJ + i]);
         x[2 * NJ + i] = m->has_domain_temp ? among(m->lo[3 * NJ + i], m->hi[3 * NJ + i]) : m->start_real[VR_TEMP + i];
     }
@@ -122,5 +122,5 @@ static void keep(const double r[N_REAL], const int flag[FLAGS], int every) {
     }
 }
 
-#define BROKEN(...) return printf(__VA_ARGS__), printf(" (seed %ld, call %d, last message: %s)\n", seed, call, last), 1
+#define BROKEN(...) return printf(__VA_ARGS__), printf(" (seed %ld, call %d, last message: %s)\n", seed, call, last), fflush(stdout), 1
 #endif

@@ -36,7 +36,7 @@ static fmi2Status serialized(fmi2Component c) {
     const int damaged = got == fmi2OK && !below(2);
     if (damaged) bytes[below(below(2) ? 80 : (unsigned)size)] ^= 1u << below(8); /* in the head: whose state it is */
     if (got == fmi2OK) got = fmi2DeSerializeFMUstate(c, bytes, size, &saved);
-    if (damaged && got == fmi2OK) printf("a damaged state was taken\n"), exit(1);
+    if (damaged && got == fmi2OK) printf("a damaged state was taken\n"), fflush(stdout), exit(1);
     free(bytes);
     return got;
 }
@@ -152,6 +152,7 @@ int main(int argc, char **argv) {
         saved = 0;
         fmi2FreeInstance(c);
     }
+    if (kept) fclose(kept);
     printf("ok %ld errors, %ld times covered, %ld times certified\n", errors, covered_seen, certified_seen);
     return 0;
 }
