@@ -37,7 +37,7 @@ typedef struct {
 static double largest(double lo, double hi) { return most(size_of(lo), size_of(hi)); }
 
 /* w [lo, hi], added; `scale` grows by its size. */
-static void add(double w, double lo, double hi, double *out_lo, double *out_hi, double *scale) {
+UNROLLED void add(double w, double lo, double hi, double *out_lo, double *out_hi, double *scale) {
     *out_lo += w > 0.0 ? w * lo : w * hi;
     *out_hi += w > 0.0 ? w * hi : w * lo;
     *scale += size_of(w) * largest(lo, hi);
@@ -196,7 +196,7 @@ static void visit(Pivoted *at, int k, Exchange *x) {
 }
 
 /* Joint k into the moving set: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement. */
-static void pivot(int n, double *A, int k) {
+UNROLLED void pivot(int n, double *A, int k) {
     const double d = 1.0 / A[k * n + k];
     double row[SN], column[SN];
     for (int i = 0; i < n; i++) {
@@ -219,10 +219,9 @@ typedef struct {
     double W[SN * SN], dMW[SN * SN * SN];
 } Inverse;
 
-static int invert(const Near *near, Inverse *out) {
+UNROLLED int inverted(int n, const Near *near, Inverse *out) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     memcpy(out->W, at->M, (size_t)(n * n) * sizeof *out->W);
     for (int k = 0; k < n; k++) {
         if (!(out->W[k * n + k] > 1e-6 * at->M[k * n + k])) return 0;
@@ -231,19 +230,20 @@ static int invert(const Near *near, Inverse *out) {
     for (int k = 0; k < n * n; k++) out->W[k] = -out->W[k];
     for (int k = 0; k < n; k++)
         for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++) {
-                double s = 0.0;
-                for (int o = 0; o < n; o++) s += E->dM[(i * n + o) * n + k] * out->W[o * n + j];
-                out->dMW[(k * n + i) * n + j] = s;
+            for (int j = 0; j < n; j += LANES) { /* what is written beyond the row is the next one's, and comes anew */
+                Four s = {0};
+                for (int o = 0; o < n; o++) s += E->dM[(i * n + o) * n + k] * *(const Four *)(out->W + o * n + j);
+                *(Four *)(out->dMW + (k * n + i) * n + j) = s;
             }
     return 1;
 }
 
+STOPSET_WIDE static int invert(const Near *near, Inverse *out) { return SIZED(inverted, near->E.n, near, out); }
+
 /* How far M v can be from M_c v, speeds in v and momenta in p: the box of v alone, or along the angles dM/dq_k W of M_c v = p +- loose. */
-static void looseness(const Near *near, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
+UNROLLED void loosen(int n, const Near *near, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     double fast[SN], rest[SN], far[SN];
     for (int j = 0; j < n; j++) fast[j] = largest(v->lo[j], v->hi[j]);
     for (int i = 0; i < n; i++) {
@@ -268,6 +268,10 @@ static void looseness(const Near *near, const Inverse *inverse, const Span *v, c
         }
         for (int i = 0; i < n; i++) loose[i] = least(loose[i], far[i]);
     }
+}
+
+STOPSET_WIDE static void looseness(const Near *near, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
+    SIZED(loosen, near->E.n, near, inverse, v, p, loose);
 }
 
 /* For speeds in v and momenta in p, where asked, what was known before cut by what is now: speeds (out), and momenta of joints that do not move
@@ -298,11 +302,14 @@ static void exchange(const Near *near, const Inverse *inverse, const Span *v, co
     visit(&x.start, 0, &x);
 }
 
+typedef struct {
+    double lo, hi;
+} Bow;
+
 /* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */
-static void bow(const Near *near, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i, double out[2]) {
+UNROLLED Bow bow_of(int n, const Near *near, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     double value = 0.0, spread = 0.0, scale = 0.0, c[SN], r[SN];
     for (int j = 0; j < n; j++) {
         c[j] = 0.5 * (p->lo[j] + p->hi[j]);
@@ -326,8 +333,11 @@ static void bow(const Near *near, const Inverse *inverse, const Span *w, const S
         spread += size_of(turned) * r[j];
     }
     spread += stopset_rate_rounding * scale;
-    out[0] = value - spread;
-    out[1] = value + spread;
+    return (Bow){value - spread, value + spread};
+}
+
+STOPSET_WIDE static Bow bow(const Near *near, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i) {
+    return SIZED(bow_of, near->E.n, near, inverse, w, p, loose, i);
 }
 
 /* How fast momenta can grow (any) and how fast while the joint moves forward (on), and the same downward, speeds within w. */
@@ -335,14 +345,14 @@ static void rates(const Near *near, const Inverse *inverse, const Step *s, const
     const StopsetPlant *p = near->plant;
     const Local *at = &near->at;
     const double share = near->parts->christoffel;
-    double loose[SN], bent[2];
+    double loose[SN];
     if (inverse) looseness(near, inverse, w, momenta, loose);
     for (int i = 0; i < at->n; i++) {
         double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i];
         if (inverse) {
-            bow(near, inverse, w, momenta, loose, i, bent);
-            up = least(up, share * bent[1] - at->g_lo[i] + p->u_hi[i]);
-            down = most(down, share * bent[0] - at->g_hi[i] + p->u_lo[i]);
+            const Bow bent = bow(near, inverse, w, momenta, loose, i);
+            up = least(up, share * bent.hi - at->g_lo[i] + p->u_hi[i]);
+            down = most(down, share * bent.lo - at->g_hi[i] + p->u_lo[i]);
         }
         on->hi[i] = up - s->B_lo[i] - p->viscous_lo[i] * most(w->lo[i], 0.0);
         on->lo[i] = down + s->B_lo[i] + p->viscous_lo[i] * most(-w->hi[i], 0.0);

@@ -16,12 +16,12 @@ enum { HULLS = (RATES + LANES - 1) / LANES, UPPER = RATES / 2 };
 static const int place_of[RATES] = {5, 0, 6, 1, 2, 7, 3, 8, 4, 9};
 
 typedef struct {
-    int n, inside[SN], open[SN], count, fits;
+    int n, inside[SN], open[SN], count, fits, members, member[SN]; /* member: those inside, in order */
     Along start;                                    /* M */
     double push[SN], beyond[SN];                    /* torques of its change, and of what is beyond slopes, at claimed accelerations */
     double speeds[SN * SLOPES], turns[SN * SLOPES]; /* h: columns of nu; of delta and s */
-    double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN]; /* r less the middle of h */
-    double sized[SN], all[SN];                       /* sizes of columns and push; with the largest of r */
+    double r_lo[SN], r_hi[SN], r_mid[SN]; /* r less the middle of h */
+    double sized[SN], unsure[SN], all[SN]; /* sizes of columns and push; with half the range of r; with the largest of r */
     Four torque[SN][HULLS], far[SN][HULLS], hull[SN][HULLS]; /* of each joint itself, by place_of its rates: r, how far from its middle, what was found */
     const Step *s;
     double shared;
@@ -81,11 +81,12 @@ UNROLLED Turned turned(int n, const Along *A, int i, const Relation *x) {
     for (int g = 0; g < groups_of(n); g++) {
         const Four *slope = A->slope[g], *column = (const Four *)(x->turns + g * LANES), self = slope[pair(i, i)], own = SIZES_OF(self);
         Four turn = column[i * GROUPS] * -A->own[i] + self * x->r_mid[i], spread = own * x->sized[i], scale = own * x->all[i];
-        for (int j = 0; j < n; j++) {
-            if (j == i || !x->inside[j]) continue;
+        for (int k = 0; k < x->members; k++) {
+            const int j = x->member[k];
+            if (j == i) continue;
             const Four e = slope[j < i ? pair(j, i) : pair(i, j)], size = SIZES_OF(e);
             turn += column[j * GROUPS] * -A->value[i * SN + j] + e * x->r_mid[j];
-            spread += size * (x->sized[j] + x->r_rad[j]);
+            spread += size * x->unsure[j];
             scale += size * x->all[j];
         }
         turn = SIZES_OF(turn);
@@ -105,8 +106,8 @@ UNROLLED void row_of(int n, const Along *A, int i, Relation *x) {
     for (int g = 0; g < groups_of(n); g++) {
         const Four *column = (const Four *)(x->speeds + g * LANES);
         Four speed = column[i * GROUPS] * w;
-        for (int j = 0; j < n; j++)
-            if (j != i && x->inside[j]) speed += column[j * GROUPS] * -A->value[i * SN + j];
+        for (int k = 0; k < x->members; k++)
+            if (x->member[k] != i) speed += column[x->member[k] * GROUPS] * -A->value[i * SN + x->member[k]];
         speed = SIZES_OF(speed);
         spread += sum_of(&speed);
     }
@@ -152,6 +153,9 @@ static void visit(const Along *A, int k, Relation *x) {
         x->inside[joint] = 0;
         return;
     }
+    x->members = 0;
+    for (int i = 0; i < x->n; i++)
+        if (x->inside[i]) x->member[x->members++] = i;
     for (int i = 0; i < x->n; i++) {
         if (x->inside[i])
             read_row(A, i, x);
@@ -279,7 +283,6 @@ UNROLLED void torques_of(int n, const Near *near, const Curved *curves, int i, R
     x->r_lo[i] = s->plus[i] || !s->minus[i] ? own[0] : own[2];
     x->r_hi[i] = s->minus[i] ? own[3] : own[1];
     x->r_mid[i] = 0.5 * (x->r_lo[i] + x->r_hi[i]);
-    x->r_rad[i] = 0.5 * (x->r_hi[i] - x->r_lo[i]);
     for (int g = 0; g < HULLS; g++) x->torque[i][g] = x->hull[i][g] = x->far[i][g] = FOUR_OF(0.0);
     for (int rate = 0; rate < RATES; rate++) {
         const int goes = s->zero[i] || (is_backward(rate) ? s->minus[i] : s->plus[i]), at_lane = place_of[rate]; /* else it is left where it began */
@@ -292,6 +295,7 @@ UNROLLED void torques_of(int n, const Near *near, const Curved *curves, int i, R
     x->sized[i] = x->push[i];
     for (int k = 0; k < n; k++) x->sized[i] += size_of(x->speeds[i * SLOPES + k]);
     for (int l = 0; l <= n; l++) x->sized[i] += size_of(x->turns[i * SLOPES + l]);
+    x->unsure[i] = x->sized[i] + 0.5 * (x->r_hi[i] - x->r_lo[i]);
     x->all[i] = most(size_of(x->r_lo[i]), size_of(x->r_hi[i])) + x->sized[i];
 }
 
