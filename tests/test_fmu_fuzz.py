@@ -121,7 +121,7 @@ def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, own
         assert certified == 0 if stop_refusal(model) else certified > 100, words
         if certified:
             equal, bounds = held_against_python(model, tmp_path / "kept")
-            assert equal == bounds > 20, f"{equal} of {bounds} certified bounds are Python's"
+            assert equal == bounds > 0, f"{equal} of {bounds} certified bounds are Python's"
 
 
 @pytest.mark.slow
