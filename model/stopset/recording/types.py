@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.errors import RecordingError
 from stopset.types import Array
 
 SuiteKey = tuple[int, str, int]  # (file, phase, suite)
@@ -89,6 +91,11 @@ class Recording:
         return f"{self.phase} suite {self.suite} trial {self.trial}{_of_file(self.file)}"
 
     @property
+    def fingerprint(self) -> bytes:
+        """Of its angles and torques: noise makes every recording its own, so that only a copy has the same."""
+        return hashlib.blake2b(self.q.tobytes() + self.tau.tobytes()).digest()
+
+    @property
     def stop_requested(self) -> int | None:
         """Index of the first sample of the stop request; None where the recording does not hold it."""
         if self.stop_trigger is None or not np.any(self.stop_trigger):
@@ -150,6 +157,23 @@ class Recordings:
     @property
     def samples(self) -> int:
         return sum(len(r.t) for r in self.trials)
+
+
+def distinct(trials: Iterable[Recording]) -> Iterator[Recording]:
+    """``trials``, each moving one once. Raises `RecordingError` for a copy: a motion that is counted twice would vouch for itself.
+
+    Poses that are held are left aside: readings in steps may well be the same.
+    """
+    seen: dict[bytes, str] = {}
+    for r in trials:
+        if r.phase != "static":
+            first = seen.setdefault(r.fingerprint, r.label)
+            if first != r.label:
+                raise RecordingError(
+                    f"{r.label} is the same recording as {first}, number for number; expected each once, as a motion that is counted "
+                    "twice would vouch for itself: leave one out"
+                )
+        yield r
 
 
 def counted(trials: Iterable[Recording]) -> Iterator[Recording]:
