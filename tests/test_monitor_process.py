@@ -14,7 +14,7 @@ import can
 import pytest
 
 from monitor_arm import known_model, meta, motion, with_torque_scaled
-from monitor_process import Ear, PythonReading, expected, free_port, listens, running, stopset, write_config
+from monitor_process import PREFIX, Ear, PythonReading, expected, free_port, listens, running, stopset, write_config
 from patience import wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError
@@ -22,6 +22,7 @@ from stopset.monitor.config import load_config
 from stopset.monitor.consumer import Fault
 from stopset.monitor.layout import State, unpack
 from stopset.monitor.links.hub import HubClient
+from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import load_profile
 from stopset.monitor.source import CanSource
 from stopset.recording import write_recordings
@@ -75,8 +76,11 @@ def test_replay_over_can_is_judged_and_published(place: Place, scaled: int | Non
     model_path, recording, model = place(scaled)
     bus, port = free_port(), free_port()
     config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
-    with running("monitor", "--config", str(config)), Ear(port) as ear:
-        replay = stopset("replay", str(recording), "--to", f"hub:{bus}", "--wait", "2")
+    with (
+        running("monitor", "--config", str(config)),
+        Ear(port) as ear,
+        running("replay", str(recording), "--to", f"hub:{bus}", "--wait", "2") as replay,
+    ):
         witness = Witness(bus, config)
         out, err = replay.communicate(timeout=600)
         assert replay.returncode == 0, err
@@ -186,3 +190,23 @@ def test_joint_states_over_zenoh(place: Place, tmp_path: Path) -> None:
         assert ear.wait(lambda: any(e["kind"] == "reset" for e in list(ear.events)))
         (event,) = [e for e in ear.events if e["kind"] == "reset"]
         assert event["name"] == "A. Person" and event["joints"] == [model.joints[2]]
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_what_runs_until_it_is_ended_ends_in_order(place: Place, how: signal.Signals) -> None:
+    """As a service manager ends it, and by Ctrl-C: what was opened is closed, and nothing is complained of."""
+    _, recording, _ = place(None)
+    port, bus = free_port(), free_port()
+    with (
+        contextlib.closing(ZenohLink(PREFIX, listen=[f"tcp/127.0.0.1:{port}"])),
+        running("watch", "--connect", f"tcp/127.0.0.1:{port}", "--port", "0") as watch,
+        running("replay", str(recording), "--to", f"hub:{bus}", "--loop") as replay,
+    ):
+        assert watch.stdout is not None
+        assert watch.stdout.readline(), "it shows something"
+        assert wait(lambda: listens(bus))
+        for process in (watch, replay):
+            process.send_signal(how)
+        (_, err), (out, complaint) = watch.communicate(timeout=60), replay.communicate(timeout=60)
+    assert (watch.returncode, err) == (0, "")
+    assert (replay.returncode, out, complaint) == (0, "ended\n", "")

@@ -113,6 +113,21 @@ def test_what_is_no_classic_frame_is_left_out_and_an_error_frame_is_said(wire: W
     assert heard(batch) == [(0x184, b"\x02")], "and it goes on"
 
 
+@pytest.mark.parametrize("first", ["emergency", "error frame"])
+def test_an_emergency_beside_an_error_frame_is_not_lost(wire: Wire, first: str) -> None:
+    """What a drive says in the moment in which its bus fails is heard before the failure is."""
+    profile = load_profile("lwa4p/monitor")
+    node = next(iter(profile.nodes.values()))
+    source = CanSource(SocketCanListener(wire), profile, profile.cycle_s)
+    frames = [(0x080 + node, b"\x20\x31\x01" + bytes(5)), (0x020 | ERROR, b"\x01")]
+    for frame in frames if first == "emergency" else frames[::-1]:
+        wire.send(*frame)
+    with pytest.raises(BusError, match="error frame on the bus"):
+        for _ in range(3):
+            source.next(0.05)
+    assert "reports the emergency 0x3120" in source.decoder.nodes.bad(time.time())[1]
+
+
 def test_a_frame_without_a_time_is_as_old_as_can_be(wire: Wire) -> None:
     """Mutant: with the stamp of who came before in its place."""
     listener, batch = SocketCanListener(wire), Batch()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import shutil
 import sqlite3
 import subprocess
 import time
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor_arm import motion
+from monitor_arm import DT, known_model, motion
 from monitor_process import free_port
 from patience import rest, wait
 from state_messages import pack
@@ -27,9 +29,11 @@ from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.orders import Orders
-from stopset.monitor.replay import play
+from stopset.monitor.replay import JointStateSink, play
 from stopset.monitor.source import GAP, JointStateSource
+from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View, ViewerPage, terminal
+from stopset.monitor.watch import Watch
 from stopset.recording import read_recordings
 
 JOINTS = tuple(f"arm_{i}_joint" for i in range(1, 7))
@@ -55,6 +59,23 @@ def test_cdr_is_laid_out_as_ros_2_writes_it() -> None:
         "00000000" "00000000"  # no velocity, no effort
     )  # fmt: skip
     assert to_cdr(JointState(1_000_000_002, ("a",), (1.0,), (), ())) == want
+
+
+def test_a_replayed_stop_accuses_no_good_arm() -> None:
+    """A drive that holds no torque is told by a message without one: what brakes do to the arm is no violation then."""
+    r, at, model = motion(0, 300), 200, known_model()
+    braked = r.dq * np.clip(1.0 - (np.arange(300) - at) / 40, 0.0, 1.0)[:, None] ** (np.arange(300) >= at)[:, None]
+    q = r.q + np.cumsum(np.where((np.arange(300) >= at)[:, None], braked - r.dq, 0.0), axis=0) * DT
+    stop = replace(r, phase="stop0", q=q, dq=braked, stop_trigger=np.arange(300) >= at)
+    for cdr, told in itertools.product((False, True), (stop, replace(stop, stop_trigger=None))):
+        source, watch = JointStateSource(model.joints, DT, backlog=300), Watch(model)
+        play([told], JointStateSink(lambda data, s=source: s.take("", data), model.joints, cdr), speed=float("inf"))
+        said = [watch.step(s) for _ in range(300) if (s := source.next(0.0)) is not None]
+        violations = sum(v.conformance is Conformance.VIOLATION for v in said)
+        if told is stop:
+            assert not violations and {v.why for v in said[at:]} == {"no torque in the signals"}
+        else:
+            assert violations, "and a recording that does not say it looks like another arm"
 
 
 @given(st.binary(max_size=80))

@@ -21,7 +21,7 @@ from stopset.sets import Box, Zonotope
 from stopset.types import Array
 
 # 2: torque sets as zonotopes; 3: brakes that lie apart in time, each less its own lag; 4: swift inputs; 5: the arm itself, not its URDF alone
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,9 @@ class Model:
 
     ``robot`` carries the identified standard parameters and geometry: ``robot.pi`` holds what the arm carried when it was
     recorded, a payload found as an effect included, and ``domain.payload`` comes on top of it; so nobody adds an effect of
-    role ``plant`` again; ``rotor``: (n,) identified reflected inertia [kg m^2];
+    role ``plant`` again; ``rotor``: (n,) identified reflected inertia [kg m^2]; ``inertia_std``: (n,) [kg m^2] standard error of the
+    inertia about each axis, rotor and links, as far as no set holds it at a stop's decelerations (0 where brakes and sets are those of
+    recorded stops); infinite where the torque shows no rotor, None in files of versions that did not say;
     ``effects``: friction and other effects with numbers; ``effort``: the kind of torque the data held
     (``compensated_torque``: it already is ``u`` of eq. (11)); ``sets`` by regime name.
     """
@@ -185,6 +187,7 @@ class Model:
     revisions: tuple[Revision, ...] = ()
     notes: tuple[str, ...] = ()
     sha256: str = ""
+    inertia_std: Array | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:

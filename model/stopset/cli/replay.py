@@ -35,6 +35,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Send all of it, or with ``--loop`` again and again until Ctrl-C or SIGTERM."""
+    from stopset.cli.common import end_as_a_service_ends, say
+
+    if not args.loop:
+        return _send(args)
+    end_as_a_service_ends()
+    try:
+        return _send(args)
+    except KeyboardInterrupt:
+        say("ended")
+        return 0
+
+
+def _send(args: argparse.Namespace) -> int:
     from itertools import chain, islice, repeat
 
     from stopset.cli.common import say
@@ -78,10 +92,10 @@ def run(args: argparse.Namespace) -> int:
         talker = talk(args.to)
         hub = talker if isinstance(talker, Hub) else None
         sink = CanSink.of(talker, profile)
-        while hub is not None and hub.clients < args.wait:
-            time.sleep(0.05)
     times = repeat(None) if args.loop else [None]
     try:
+        while hub is not None and hub.clients < args.wait:
+            time.sleep(0.05)
         trials = chain.from_iterable(islice(stream_recordings(args.recording), args.trials) for _ in times)
         sent, late = play(trials, sink, args.speed)
     finally:

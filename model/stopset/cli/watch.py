@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from stopset.cli.common import add_arm_options, open_link, say
+from stopset.cli.common import add_arm_options, end_as_a_service_ends, open_link, say
 
 if TYPE_CHECKING:
     from stopset.monitor.links.zenoh_link import ZenohLink
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Show until Ctrl-C, SIGTERM or ``--seconds``."""
     import sys
     import threading
     import time
@@ -48,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.viewer import View, ViewerPage, terminal
     from stopset.serving import loopback
 
+    end_as_a_service_ends()
     link, expected = open_link(args)
     view = View(expected=expected)
     view.ask = lambda nonce: link.put("challenge", nonce)
@@ -78,6 +80,8 @@ def run(args: argparse.Namespace) -> int:
                     say(line)
                     shown = line
             Console().print(terminal(view))
+    except KeyboardInterrupt:
+        say("")
     finally:
         link.close()
     return 0

@@ -63,7 +63,10 @@ class CanSink:
 
 @dataclass(slots=True)
 class JointStateSink:
-    """``joint_states`` by a put function."""
+    """``joint_states`` by a put function.
+
+    The message has no word for drives that hold no torque: it then names none, as a driver should, and whoever listens judges nothing.
+    """
 
     put: Callable[[bytes], None]
     joints: tuple[str, ...]
@@ -76,8 +79,8 @@ class JointStateSink:
         return True
 
     def sample(self, values: Array, stamp_ns: int) -> None:
-        rows = (tuple(values[i].tolist()) for i in range(3))
-        state = JointState(stamp_ns, self.joints, *rows)
+        q, dq, tau, _, status = (tuple(row.tolist()) for row in values)
+        state = JointState(stamp_ns, self.joints, q, dq, tau if set(status) <= {OPERATION_ENABLED} else ())
         self.put(to_cdr(state) if self.cdr else to_json(state))
         self.frames += 1
 

@@ -103,6 +103,7 @@ class CanSource:
     _count: CycleCount = field(init=False)
     _batch: Batch = field(default_factory=Batch)
     _fill: Callable[[Batch, float], None] = field(init=False)
+    _failed: BusError | None = None  # the bus, behind the frames that are still to be looked at
 
     def __post_init__(self) -> None:
         self.decoder = Decoder(self.profile, self.cycle_s, LOG, joined=True)
@@ -117,8 +118,7 @@ class CanSource:
         last = self.decoder.frames + TURN
         while self.decoder.frames < last:
             if batch.taken[0] == batch.count:
-                batch.clear()
-                self._fill(batch, wait)
+                self._refill(wait)
                 if not batch.count and (found is not None or self.clock.monotonic() >= end):
                     break
             now = self.clock.time_ns() * 1e-9
@@ -130,6 +130,18 @@ class CanSource:
                     break
             wait = 0.0 if found is not None else max(0.0, end - self.clock.monotonic())
         return found
+
+    def _refill(self, wait: float) -> None:
+        """The next frames; those that came before a bus failed, an emergency perhaps, are looked at before that is said."""
+        if self._failed is not None:
+            raise self._failed
+        self._batch.clear()
+        try:
+            self._fill(self._batch, wait)
+        except BusError as e:
+            if not self._batch.count:
+                raise
+            self._failed = e
 
     def _sample(self, cycle: Cycle, now: float) -> Sample:
         bits, words = (0, "") if self.decoder.nodes_good else self.decoder.nodes.bad(now)

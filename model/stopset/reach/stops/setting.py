@@ -23,17 +23,30 @@ HEAVIEST, FARTHEST = 1000.0, 10.0  # [kg], [m] of a payload and its centre: beyo
 
 
 def rotor_of(model: Model) -> Box:
-    """(n,) reflected rotor inertia: a point where torque told the rigid body apart from it.
+    """(n,) [kg m^2] reflected rotor inertia, with what the inertia about its axis is uncertain by: `SIGMAS` standard errors, which U does
+    not hold at a stop's decelerations; a point in models of versions that did not say.
 
-    With compensated torque the identified inertia of each joint and the data sheet's are two opinions; both are in the box.
+    What was identified and what a data sheet states are two opinions, and both are in the box.  Raises `NotCovered` where neither is known.
     """
-    stated = np.array(model.rotor, float)
-    if model.effort != "compensated_torque" or model.abstraction.kind != 1:
-        return Box.point(stated)
-    q = np.clip(model.domain.q.centre, model.robot.q_limit[:, 0], model.robot.q_limit[:, 1])
-    rigid = np.diag(mass_matrix(model.robot.chain, model.robot.pi, q))
-    seen = np.maximum(1.0 / np.diag(model.abstraction.Minv) - rigid, 1e-3)
-    return Box(np.minimum(stated, seen), np.maximum(stated, seen))
+    identified, std = np.array(model.rotor, float), np.zeros(model.n) if model.inertia_std is None else model.inertia_std
+    if model.effort == "compensated_torque" and model.abstraction.kind == 1:
+        q = np.clip(model.domain.q.centre, model.robot.q_limit[:, 0], model.robot.q_limit[:, 1])
+        rigid = np.diag(mass_matrix(model.robot.chain, model.robot.pi, q))
+        seen = np.maximum(1.0 / np.diag(model.abstraction.Minv) - rigid, 1e-3)
+        return Box(np.minimum(identified, np.maximum(seen - SIGMAS * std, 0.0)), np.maximum(identified, seen + SIGMAS * std))
+    if model.inertia_std is None:
+        return Box.point(identified)
+    stated = np.array([d.rotor_inertia for d in model.robot.as_described.drives], float)
+    unknown = ~(np.isfinite(std) | np.isfinite(stated))
+    if unknown.any():
+        raise NotCovered(
+            f"the recorded torque shows no rotor's inertia and robot.json states none for {', '.join(np.array(model.joints)[unknown])}; "
+            "brakes have to stop the rotors too: state reflected_motor_inertia_kgm2 there (0 where there is none) and identify again"
+        )
+    stated = np.where(np.isfinite(stated) & (std > 0.0), stated, identified)
+    lo, hi = np.maximum(identified - SIGMAS * std, 0.0), identified + SIGMAS * std
+    known = np.isfinite(std)
+    return Box(np.where(known, np.minimum(stated, lo), stated), np.where(known, np.maximum(stated, hi), stated))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,9 +174,7 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
         yield f"payload weighed by its torque to +- {mass_uncertainty:.3g} kg, its centre as identified"
     if s.extrapolated:
         yield f"{s.extrapolated}; beyond that the rigid body is computed, and friction and U are taken not to change"
-    rotor = rotor_of(model)
-    if np.any(rotor.width > 0):
-        yield f"rotor inertia between data sheet and the inertia identified: {_range(rotor)} kg m^2"
+    yield f"rotor inertia {_range(rotor_of(model))} kg m^2, {_inertia(model)}"
     yield from described(model)
     if np.all(friction.dry.hi == 0):
         yield "Coulomb friction unknown, taken as none"
@@ -177,6 +188,16 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
         yield "the drives give nothing more once power is taken"
     if s.delay_spread is not None:
         yield _delay_spread(s.delay_spread, s.lag)
+
+
+def _inertia(model: Model) -> str:
+    """What the inertias of a stop rest on."""
+    std = model.inertia_std
+    if std is None:
+        return "all inertias taken as exact: this model does not say how well they are known"
+    if np.all(std == 0.0):
+        return "all inertias as identified: brakes and U of recorded stops hold what they are wrong by at such decelerations"
+    return f"with {SIGMAS:g} standard errors of the inertia about each axis and what a data sheet states; inertias between axes as identified"
 
 
 def _delay_spread(delay_spread: float, lag: Array | None) -> str:

@@ -88,6 +88,7 @@ class SocketCanListener:
             ctypes.memmove(self._messages, self._empty, count * FILLED.size)
 
     def _put(self, batch: Batch, count: int) -> None:
+        failed = False
         filled, stamps = FILLED.iter_unpack(self._filled[: count * FILLED.size]), STAMP.iter_unpack(self._control)
         for (identifier, length, data), (control, size), (seconds, nano, lost) in zip(
             FRAME.iter_unpack(self._data), filled, stamps, strict=False
@@ -97,9 +98,12 @@ class SocketCanListener:
             if size != FRAME.size or identifier & (EXTENDED | REMOTE):
                 continue
             if identifier & ERROR:
-                raise BusError("error frame on the bus; check termination and bit rate")
+                failed = True
+                continue
             t = seconds + 1e-9 * nano if control >= STAMPED else math.nan  # which counts as old as can be
             batch.put(Frame(identifier, data[:length], t))
+        if failed:
+            raise BusError("error frame on the bus; check termination and bit rate")
 
     def recv(self, timeout: float) -> Frame | None:
         """The next frame, if it comes in time. Raises `BusError`."""

@@ -27,6 +27,7 @@ from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
 from stopset.offline.nominal.preprocess import Preprocessing
+from stopset.offline.nominal.rotors import inertia_std, unseen_rotors
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -54,6 +55,7 @@ class NominalPart:
     limited: tuple[str, ...] = ()  # those of the notes that say what a limit decided
     taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
     friction_covariance: dict[str, dict[str, Any]] = field(default_factory=dict)  # see `Nominal.friction_covariance`
+    inertia_std: Array | None = None  # (n,) see `Model`
     unseen: float | None = None
 
 
@@ -102,6 +104,7 @@ def _compensated(run: Run, known: Sequence[Fitted]) -> NominalPart:
         abstraction,
         notes,
         uncertain_torque=uncertain_torque,
+        inertia_std=np.array([f.std[0] for f in fits]),
     )
 
 
@@ -155,10 +158,12 @@ def _regressed(
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )
-    notes = (*notes, *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined))
+    std = inertia_std(cad, nominal.theta, nominal.covariance, nominal.span, nominal.prior)
+    notes = (*notes, *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined), *unseen_rotors(cad, std))
     return NominalPart(
         arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, of_regression(cad, nominal, found.sample),
         limited=nominal.limited, taken_out=nominal.taken_out(), friction_covariance=nominal.friction_covariance(),
+        inertia_std=std,
     )  # fmt: skip
 
 

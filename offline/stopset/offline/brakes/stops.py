@@ -44,7 +44,10 @@ def with_stops(model: Model, fit: StopFit) -> Model:
         provenance[KEY] = fit.ramp.as_dict()
     lines = [g.text for g in (fit.stop0, fit.stop1) if g is not None]
     known = fit.model
-    return replace(model, brakes=known.brakes, sets=known.sets, provenance=provenance, notes=(*model.notes, *fit.notes, *lines))
+    return replace(
+        model, brakes=known.brakes, sets=known.sets, inertia_std=known.inertia_std, provenance=provenance,
+        notes=(*model.notes, *fit.notes, *lines),
+    )  # fmt: skip
 
 
 def identify_stops(model: Model, recordings: Iterable[Recording]) -> StopFit:
@@ -81,7 +84,7 @@ def identify_stops(model: Model, recordings: Iterable[Recording]) -> StopFit:
 def _power_off(model: Model, stops: Sequence[Recording], noise: Box, notes: list[str]) -> tuple[Model, Guarantee | None]:
     train, held = divide(stops)
     try:
-        known = fit_brakes(model, train, noise, notes) if _enough(train, "stop0", notes) else None
+        known = fit_brakes(shown(model), train, noise, notes) if _enough(train, "stop0", notes) else None
     except NotCovered as e:
         notes.append(f"no brakes from {len(train)} recorded stops: {e}")
         known = None
@@ -89,6 +92,13 @@ def _power_off(model: Model, stops: Sequence[Recording], noise: Box, notes: list
         return model, None
     regular, few = _by_suite_size(held, stops)
     return known, guarantee_line("STOP 0", judge_stop0(known, regular), judge_stop0(known, few), len(train))
+
+
+def shown(model: Model) -> Model:
+    """``model`` of which recorded stops show what its inertia is wrong by: brakes and sets identified from them hold that at a stop's own
+    decelerations. Rotors that no torque showed stay unknown."""
+    std = model.inertia_std
+    return model if std is None else replace(model, inertia_std=np.where(np.isfinite(std), 0.0, std))
 
 
 def _controlled(

@@ -60,6 +60,7 @@ from stopset.offline.nominal import (
     preprocess,
     prior,
     qp,
+    rotors,
     scale,
     unidentifiable,
 )  # fmt: skip
@@ -105,6 +106,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("physical", physical, "MARGIN SMALL FEASIBLE NEAR"),
     ("prior", prior, "IDENTIFICATION CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
+    ("rotors", rotors, "POSES FAR"),
     ("scale", scale, "SHARE"),
     ("unidentifiable", unidentifiable, "OPEN NOTABLE UNSEEN RANK"),
     ("abstraction choice", choose, "WINDOWS TIE"),

@@ -98,7 +98,7 @@ def packed(
             "of motions not yet seen only the whole's sets promise anything"
         )
     model = Model(
-        robot=nominal.robot, rotor=nominal.rotor, effort=meta.effort, effects=nominal.effects,
+        robot=nominal.robot, rotor=nominal.rotor, inertia_std=nominal.inertia_std, effort=meta.effort, effects=nominal.effects,
         abstraction=nominal.abstraction,
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,

@@ -21,6 +21,7 @@ from stopset.offline.nominal.low_pass import KNOWN, in_words
 from stopset.offline.nominal.normal_equations import Column, NormalEquations, accumulate
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.prior import Prior, Tolerance, prior_of
+from stopset.offline.nominal.rotors import contradicted, far_below
 from stopset.offline.nominal.unidentifiable import base_count, undetermined
 from stopset.recording.types import Recording, Recordings
 from stopset.robot import Robot
@@ -185,11 +186,23 @@ def solve_nominal(
             "expected motor torque over at least one motion of a second, or poses approached from both sides"
         )
     prior = prior_of(robot, tolerance)
-    late = _delay(data, prior, delay)
-    moving, still = _at_lag(data, late[1])
-    result = fit(data, moving, still, prior, floor_of(robot, data, prior), robot.pi)
+    late, moving, still, result = _fitted(robot, data, prior, delay)
+    if far_below(prior, result):
+        free = prior.without_rotors
+        again = _fitted(robot, data, free, delay)
+        if contradicted(prior, again[-1]):
+            prior, (late, moving, still, result) = free, again
     heldout, covariance = leave_out(data, moving, still, prior, result)
     return _nominal(robot, data, prior, replace(result, covariance=covariance), heldout, late)
+
+
+def _fitted(
+    robot: Robot, data: NormalEquations, prior: Prior, delay: float | None
+) -> tuple[tuple[Delay, Array, list[str]], Array, Array, Fit]:
+    """What `_delay` says, the sums of motions and of poses at these lags, and the fit to them."""
+    late = _delay(data, prior, delay)
+    moving, still = _at_lag(data, late[1])
+    return late, moving, still, fit(data, moving, still, prior, floor_of(robot, data, prior), robot.pi)
 
 
 def _at_lag(data: NormalEquations, applied: Array) -> tuple[Array, Array]:

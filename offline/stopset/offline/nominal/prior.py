@@ -6,7 +6,7 @@ the data speak they win; where no motion tells, the CAD stays.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,6 +58,14 @@ class Prior:
         """Places of the last link's parameters."""
         n = len(self.rotor_known)
         return slice(10 * n - 10, 10 * n)
+
+    @property
+    def without_rotors(self) -> Prior:
+        """The same links, and rotors of which nothing is known."""
+        n = len(self.rotor_known)
+        mean, precision, rotors = self.mean.copy(), self.precision.copy(), np.arange(10 * n, 11 * n)
+        mean[rotors], precision[rotors, rotors] = 0.0, 1 / Tolerance().rotor_unknown ** 2
+        return replace(self, mean=mean, precision=precision, rotor_known=(False,) * n)
 
     def believed(self, scale: float, *, loaded: bool) -> Array:
         """(11 n, 11 n) precision of a description off by ``scale`` times its tolerance, with or without something carried."""

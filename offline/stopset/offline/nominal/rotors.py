@@ -1,0 +1,85 @@
+"""Whether the torque shows the rotors, and how far the inertia about each axis may be off.
+
+U holds what the identified numbers are wrong by at the accelerations that were recorded.  Brakes decelerate an arm several times as
+hard, so a stop needs this error for itself.  Torque that is measured behind the gears (joint torque sensors, a controller's estimate of
+what moves the links) holds no rotor at all, while brakes have to stop the rotors too: there a data sheet's rotors belong into the
+stops and not into the torque, and without one nothing is known of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.effects.bound import SIGMAS
+from stopset.offline.nominal.fit import Fit
+from stopset.offline.nominal.prior import Prior
+from stopset.robot import Robot
+from stopset.robot.rigid import regressors
+from stopset.types import Array
+
+POSES = 100
+FAR = 0.7  # of the data sheet's rotor: a drive is off its sheet by a few percent
+
+
+def far_below(prior: Prior, fitted: Fit) -> bool:
+    """Whether half of the rotors that a data sheet states come out so small that they may not be in the torque at all."""
+    known = np.flatnonzero(prior.rotor_known) + 10 * len(prior.rotor_known)
+    return len(known) > 0 and 2 * int(np.sum(fitted.theta[known] < FAR * prior.mean[known])) >= len(known)
+
+
+def contradicted(prior: Prior, free: Fit) -> bool:
+    """Whether a fit ``free`` of the data sheet sees no rotor at any joint, and surely not the stated one at half of those that have one."""
+    n = len(prior.rotor_known)
+    at = slice(10 * n, 11 * n)
+    rotor, std = free.theta[at], np.sqrt(np.diag(free.covariance)[at])
+    known = np.array(prior.rotor_known)
+    off = (prior.mean[at] - rotor > SIGMAS * std)[known]
+    return not shown(rotor, std).any() and 2 * int(off.sum()) >= len(off)
+
+
+def shown(rotor: Array, std: Array) -> NDArray[np.bool_]:
+    """(n,) whether torque tells a ``rotor`` (n,) from none, by its standard error ``std``."""
+    return rotor > SIGMAS * std
+
+
+def inertia_std(robot: Robot, theta: Array, covariance: Array, span: Array, prior: Prior) -> Array:
+    """(n,) [kg m^2] standard error of ``M_ii + J_rotor,i``, the largest over poses within the recorded angles ``span`` (n, 2); infinite
+    for a joint whose rotor no data sheet stated, where no joint's torque tells a rotor from none."""
+    n = robot.n
+    lo, hi = (np.where(np.isfinite(x), x, 0.0) for x in span.T)
+    q = np.random.default_rng(0).uniform(lo, hi, (POSES, n))
+    still = np.zeros_like(q)
+    gravity = regressors(robot.chain, q, still, still)
+    out = np.empty(n)
+    for j in range(n):
+        turning = still.copy()
+        turning[:, j] = 1.0
+        row = (regressors(robot.chain, q, still, turning) - gravity)[:, j]
+        at = np.r_[0 : 10 * n, 10 * n + j]
+        X = np.column_stack([row, np.ones(POSES)])
+        out[j] = np.sqrt(np.einsum("ka,ab,kb->k", X, covariance[np.ix_(at, at)], X).clip(min=0.0).max())
+    at = np.arange(10 * n, 11 * n)
+    if not shown(theta[at], np.sqrt(np.diag(covariance)[at])).any():
+        out[~np.array(prior.rotor_known)] = np.inf
+    return out
+
+
+def unseen_rotors(robot: Robot, std: Array) -> tuple[str, ...]:
+    """What is to be told where no rotor is known from the torque; ``std``: see `inertia_std`, ``robot``: as described."""
+    unseen = ~np.isfinite(std)
+    if not unseen.any():
+        return ()
+    missing = [
+        j for j, d, open_ in zip(robot.joints, robot.drives, unseen, strict=True) if open_ and not np.isfinite(d.rotor_inertia)
+    ]
+    seen = (
+        "no joint's torque shows the inertia of a rotor, as torque does that is measured behind the gears (joint torque sensors): what "
+        "brakes have to stop is not in it"
+    )
+    if not missing:
+        return (f"{seen}; the rotors of robot.json count for stops alone",)
+    return (
+        f"{seen}, so no stop is bounded; state reflected_motor_inertia_kgm2 of {', '.join(missing)} in robot.json (0 where there is none) and "
+        "identify again",
+    )
