@@ -131,9 +131,11 @@ def test_a_motion_copied_into_another_file_or_under_another_number_is_no_second_
 ) -> None:
     moving = [r for r in trials if r.phase != "static"]
     a = save_trials(tmp_path / "a.parquet", moving[:2], JOINTS)
-    b = save_trials(tmp_path / "b.parquet", [moving[2], dataclasses.replace(moving[1], suite=7, trial=5, t=moving[1].t + 3.0)], JOINTS)
+    b = save_trials(
+        tmp_path / "b.parquet", [moving[2], dataclasses.replace(moving[1], suite=7, trial=5, t=moving[1].t + 3.0)], JOINTS
+    )
     for paths in ([a, b], save_trials(tmp_path / "c.parquet", [*moving, dataclasses.replace(moving[0], suite=9)], JOINTS)):
-        with pytest.raises(RecordingError, match="is the same recording as .*, number for number"):
+        with pytest.raises(RecordingError, match=r"is the same recording as .*, number for number"):
             read_recordings(paths)
     with pytest.raises(RecordingError, match="number for number"):
         list(campaign_of(arm(JOINTS), [a, b]).trials())

@@ -129,8 +129,8 @@ def inspect_recordings(paths: Sequence[str | Path], robot: Robot | None = None) 
     names = [Path(p).name for p in paths]
     more = _copies(names, [trials for _, trials, _ in found])
     if robot is not None:
-        told = contradictions(robot, names, [None if i.wrong else data for i, _, data in found])
-        more = [[*a, *b] for a, b in zip(more, told, strict=True)]
+        disagree = contradictions(robot, names, [None if i.wrong else data for i, _, data in found])
+        more = [[*a, *b] for a, b in zip(more, disagree, strict=True)]
     return [replace(i, findings=(*i.findings, *extra)) for (i, _, _), extra in zip(found, more, strict=True)]
 
 
@@ -215,7 +215,9 @@ def _torque(
         return out
     least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
     off = 1.0 if compensated or not data.rows_moving.any() else solve_nominal(robot, data).off
-    return detect.description(off) + detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least)
+    return detect.description(off) + detect.torque_delay(
+        delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least
+    )
 
 
 def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tuple[float, float]) -> list[Finding]:

@@ -197,7 +197,9 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     limits = ranges(layout) + passivity(layout, *_seen(data))
     theta, notes, limited = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
     if scale > NOTABLY_OFF:
-        notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less{another_arm(scale)}")
+        notes.append(
+            f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less{another_arm(scale)}"
+        )
     if weighed.loaded:
         notes.append(_carried(layout, theta, prior))
     rms: Array = np.array([np.sqrt(residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
