@@ -20,12 +20,10 @@ static double now(void) {
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-int __real_stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *rq, const double *rdq, double *work,
-                             const StopsetBound *out);
-int __wrap_stopset_power_off(const StopsetStops *stops, const double *q, const double *dq, const double *rq, const double *rdq, double *work,
-                             const StopsetBound *out) {
+int __real_stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out);
+int __wrap_stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out) {
     const double begin = now();
-    const int done = __real_stopset_power_off(stops, q, dq, rq, rdq, work, out);
+    const int done = __real_stopset_power_off(stops, from, work, out);
     proof += now() - begin;
     return done;
 }

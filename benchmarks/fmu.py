@@ -1,6 +1,9 @@
-"""How exact and how fast the FMU is: export time, agreement with Python, time per step, stop bounds against samples.
+"""How exact, large and fast the FMU is: export time, size per platform, agreement with Python, time per step and per bound of every kind of stop.
 
-Run: python benchmarks/fmu.py MODEL.model.json
+Run: python benchmarks/fmu.py MODEL.model.json ... ur10e
+
+Prints every figure that docs/fmu.md quotes of it. The model "ur10e" is the UR10e-like arm of stop_arms_wide.py, its payload anything from 0 to
+12.5 kg. A model without a ramp gets one of `RAMP` seconds, so that STOP 1 and 2 have bounds.
 """
 
 from __future__ import annotations
@@ -10,14 +13,17 @@ import ctypes
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from stop_arms_wide import ur10e_like
 
 from stopset.artifact import Model, load_model
 from stopset.fmu import PLATFORMS, Contents, export
@@ -25,35 +31,61 @@ from stopset.fmu.build import native
 from stopset.fmu.reference import reference
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops.bounds import StopBounds
+from stopset.reach.stops.ramp import KEY, Ramp, ramp_of
+
+RAMP = 0.35  # [s]
+LIMIT = 1 << 20  # [byte] of a platform's library
 
 
-def main() -> None:
-    """Print one table."""
+def named(name: str) -> Model:
+    """The model, with a ramp."""
+    model = ur10e_like() if name == "ur10e" else load_model(name)
+    if ramp_of(model) is not None:
+        return model
+    print(f"a stated ramp of {RAMP} s: the model holds none")
+    errors = {"q_error": np.full(model.n, 2e-3), "dq_error": np.full(model.n, 5e-3)}
+    return replace(model, provenance={**model.provenance, KEY: replace(Ramp.stated(model.n, time=RAMP), **errors).as_dict()})
+
+
+def main() -> int:
+    """One table per model; 1 where a library is too large or bytes differ."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("model", type=Path)
+    parser.add_argument("models", nargs="+", metavar="MODEL", help="a model file, or ur10e")
     parser.add_argument("--states", type=int, default=20, help="states at which the stop bounds are compared")
     parser.add_argument("--cold", action="store_true", help="as a first export: with an empty cache of compiled files")
     args = parser.parse_args()
     if args.cold:
         os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp()
-    model = load_model(args.model)
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
-        fmu = export(model, Path(folder) / "F.fmu", Contents(3, (str(native()),)))
-        print(f"export, this platform: {time.perf_counter() - start:.2f} s")
-        start = time.perf_counter()
-        every = export(model, Path(folder) / "G.fmu")
-        print(f"export, {len(PLATFORMS)} platforms: {time.perf_counter() - start:.2f} s, {every.stat().st_size / 1024:.0f} KiB")
-        start, first = time.perf_counter(), every.read_bytes()
-        again = export(model, every).read_bytes() == first
-        print(f"again: {time.perf_counter() - start:.2f} s, {'the same' if again else 'OTHER'} bytes")
-        with zipfile.ZipFile(every) as z:
-            for name in PLATFORMS:
-                size = sum(x.file_size for x in z.infolist() if x.filename.startswith(f"binaries/{name}/"))
-                print(f"  {name}: {size / 1024:.0f} KiB")
-        run(model, fmu)
-        stops(model, fmu, args.states)
-        in_c(every, Path(folder))
+    bad = 0
+    for name in args.models:
+        print(f"{name}, at load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+        model = named(name)
+        with tempfile.TemporaryDirectory() as folder:
+            fmu, good = exports(model, Path(folder))
+            bad += not good
+            run(model, fmu)
+            stops(model, fmu, args.states)
+            in_c(fmu, Path(folder))
+    return int(bad > 0)
+
+
+def exports(model: Model, folder: Path) -> tuple[Path, bool]:
+    """The unit of this platform, with time and size of all; whether these are as small and the same again as they must be."""
+    start = time.perf_counter()
+    fmu = export(model, folder / "F.fmu", Contents(3, (str(native()),)))
+    print(f"export, this platform: {time.perf_counter() - start:.2f} s")
+    start = time.perf_counter()
+    every = export(model, folder / "G.fmu")
+    print(f"export, {len(PLATFORMS)} platforms: {time.perf_counter() - start:.2f} s, {every.stat().st_size / 1024:.0f} KiB")
+    start, first = time.perf_counter(), every.read_bytes()
+    again = export(model, every).read_bytes() == first
+    print(f"again: {time.perf_counter() - start:.2f} s, {'the same' if again else 'OTHER'} bytes")
+    with zipfile.ZipFile(every) as z:
+        sizes = {name: sum(x.file_size for x in z.infolist() if x.filename.startswith(f"binaries/{name}/")) for name in PLATFORMS}
+    for name, size in sizes.items():
+        print(f"  {name}: {size / 1024:.0f} KiB")
+    print(f"  each {min(sizes.values()) / 1024:.0f} to {max(sizes.values()) / 1024:.0f} KiB of {LIMIT / 1024:.0f} allowed")
+    return fmu, again and max(sizes.values()) <= LIMIT
 
 
 def in_c(fmu: Path, folder: Path) -> None:
@@ -176,4 +208,4 @@ def stops(model: Model, fmu: Path, states: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

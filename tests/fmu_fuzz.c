@@ -1,7 +1,7 @@
 /* Calls an FMI 3 unit in any order with any values, linked with its sources and the sanitizers.
  *
- * Usage: fuzz TOKEN FIRST_SEED COUNT
- * Says "ok" and how often which promise was looked at, or what was broken: every error has a sentence, see fmu_fuzz.h for the others.
+ * Usage: fuzz TOKEN FIRST_SEED COUNT [FILE]
+ * FILE: where certified bounds are written, see `keep`. Says "ok" and how often which promise was looked at, or what was broken: every error has a sentence, see fmu_fuzz.h for the others.
  */
 #include "fmi3Functions.h"
 #include "fmu_fuzz.h"
@@ -33,11 +33,12 @@ static void within(fmi3InstanceEnvironment env, fmi3Float64 t, fmi3Boolean set, 
 }
 
 int main(int argc, char **argv) {
-    if (argc != 4) return 2;
+    if (argc != 4 && argc != 5) return 2;
+    if (argc == 5 && !(kept = fopen(argv[4], "w"))) return 2;
     const char *token = argv[1];
     const long first = atol(argv[2]), count = atol(argv[3]);
     double x[N_ALL + 8], y[N_ALL + 8];
-    unsigned vr[N_ALL + 8], all[N_REAL], measured_of = VR_MEASURED, flags_of[2] = {VR_COVERED, VR_CERTIFIED};
+    unsigned vr[N_ALL + 8], all[N_REAL], measured_of = VR_MEASURED, every_of = N_REAL + IX_STOP_EVERY;
     for (unsigned k = 0; k < N_REAL; k++) all[k] = k;
     for (long seed = first; seed < first + count; seed++) {
         state = (uint64_t)seed;
@@ -53,7 +54,7 @@ int main(int argc, char **argv) {
         if (c && below(10)) { /* mostly a run that begins as it should */
             const fmi3Boolean measured = below(3) != 0; /* a model of motor torque is covered only then */
             fmi3SetBoolean(c, &measured_of, 1, &measured, 1);
-            if (below(3)) fmi3SetFloat64(c, vr, at_start(vr, x), x, NJ);
+            if (below(3)) fmi3SetFloat64(c, vr, somewhere(vr, x, 1), x, 5 * NJ);
             vr[0] = VR_DQ_START + below(NJ);
             x[0] = number();
             if (below(2)) fmi3SetFloat64(c, vr, 1, x, 1);
@@ -69,8 +70,9 @@ int main(int argc, char **argv) {
         }
         for (call = 0; call < 60; call++) {
             fmi3Status got = fmi3OK;
-            fmi3Boolean a, b, d, e, f, flags[2];
-            int32_t i = below(2) ? 1 : (int32_t)below(7) - 2;
+            fmi3Boolean a, b, d, e, f, flags[FLAGS];
+            int flag[FLAGS];
+            int32_t every, i = below(2) ? 1 : (int32_t)below(7) - 2;
             unsigned many = below(4);
             size_t size = 0;
             last[0] = 0;
@@ -158,25 +160,28 @@ int main(int argc, char **argv) {
             case 26:
                 got = below(2) ? fmi3EnterStepMode(c) : fmi3EnterEventMode(c);
                 break;
+            case 23: got = fmi3SetFloat64(c, vr, somewhere(vr, x, 0), x, 3 * NJ); break;
             case 22: got = fmi3CompletedIntegratorStep(c, fmi3True, &a, &b); break;
             default: break;
             }
             if (got != fmi3OK && c && !last[0]) BROKEN("an error without a sentence");
             errors += got != fmi3OK;
             if (!c) continue;
-            fmi3Boolean measured;
-            if (fmi3GetBoolean(c, flags_of, 2, flags, 2) != fmi3OK || fmi3GetBoolean(c, &measured_of, 1, &measured, 1) != fmi3OK) continue;
+            if (fmi3GetBoolean(c, flags_of, FLAGS, flags, FLAGS) != fmi3OK || fmi3GetInt32(c, &every_of, 1, &every, 1) != fmi3OK) continue;
             if (fmi3GetFloat64(c, all, N_REAL, x, N_REAL) != fmi3OK) continue;
-            const char *wrong = flags[0] ? beyond(x, measured) : 0;
-            if (!wrong) wrong = untrue(x, flags[1]);
-            if (wrong) BROKEN("covered %d, certified %d, and %s", flags[0], flags[1], wrong);
-            covered_seen += flags[0];
-            certified_seen += flags[1];
+            for (int k = 0; k < FLAGS; k++) flag[k] = flags[k];
+            const char *wrong = flag[FLAG_COVERED] ? beyond(x, flag[FLAG_MEASURED]) : 0;
+            if (!wrong) wrong = untrue(x, flag[FLAG_CERTIFIED]);
+            if (wrong) BROKEN("covered %d, certified %d, and %s", flag[FLAG_COVERED], flag[FLAG_CERTIFIED], wrong);
+            covered_seen += flag[FLAG_COVERED];
+            certified_seen += flag[FLAG_CERTIFIED];
+            keep(x, flag, every);
         }
         if (c && saved) fmi3FreeFMUState(c, &saved);
         free(saved);
         fmi3FreeInstance(c);
     }
+    if (kept) fclose(kept);
     printf("ok %ld errors, %ld times covered, %ld times certified\n", errors, covered_seen, certified_seen);
     return 0;
 }

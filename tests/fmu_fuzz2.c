@@ -1,13 +1,13 @@
 /* Calls an FMI 2 unit in any order with any values, linked with its sources and the sanitizers; as fmu_fuzz.c for FMI 3.
  *
- * Usage: fuzz TOKEN FIRST_SEED COUNT
+ * Usage: fuzz TOKEN FIRST_SEED COUNT [FILE]
  */
 #include <stdarg.h>
 
 #include "fmi2Functions.h"
 #include "fmu_fuzz.h"
 
-enum { CALLS = 60, KINDS_OF_CALL = 30 };
+enum { CALLS = 60, KINDS_OF_CALL = 31 };
 
 static void write_log(fmi2ComponentEnvironment env, fmi2String name, fmi2Status status, fmi2String category, fmi2String message, ...) {
     (void)env, (void)name, (void)status, (void)category;
@@ -36,7 +36,7 @@ static fmi2Status serialized(fmi2Component c) {
     const int damaged = got == fmi2OK && !below(2);
     if (damaged) bytes[below(below(2) ? 80 : (unsigned)size)] ^= 1u << below(8); /* in the head: whose state it is */
     if (got == fmi2OK) got = fmi2DeSerializeFMUstate(c, bytes, size, &saved);
-    if (damaged && got == fmi2OK) printf("a damaged state was taken\n"), exit(1);
+    if (damaged && got == fmi2OK) printf("a damaged state was taken\n"), fflush(stdout), exit(1);
     free(bytes);
     return got;
 }
@@ -84,6 +84,7 @@ static fmi2Status any_call(fmi2Component c) {
     case 25: return below(2) ? fmi2GetContinuousStates(c, y, below(5) ? NS : below(NS)) : fmi2GetNominalsOfContinuousStates(c, y, NS);
     case 26: return some(1, N_ALL + 2, 0), below(2) ? fmi2SetString(c, vr, many > 0, &text) : fmi2GetString(c, vr, many > 0, &text);
     case 27: return some(1, N_REAL, 0), below(2) ? fmi2SetRealInputDerivatives(c, vr, 1, &whole, x) : fmi2GetRealOutputDerivatives(c, vr, 1, &whole, y);
+    case 29: return fmi2SetReal(c, vr, somewhere(vr, x, 0), x);
     case 28: return below(2) ? fmi2GetStatus(c, fmi2DoStepStatus, &of) : fmi2CancelStep(c);
     default: return below(2) ? fmi2GetRealStatus(c, (fmi2StatusKind)below(4), y) : fmi2GetBooleanStatus(c, (fmi2StatusKind)below(4), &end);
     }
@@ -96,7 +97,7 @@ static void begin(fmi2Component c, int exchange) {
     const fmi2Boolean measured = below(3) != 0;
     const double speed = number();
     fmi2SetBoolean(c, &measured_of, 1, &measured);
-    if (below(3)) fmi2SetReal(c, vr, at_start(vr, x), x);
+    if (below(3)) fmi2SetReal(c, vr, somewhere(vr, x, 1), x);
     if (below(2)) fmi2SetReal(c, &speed_of, 1, &speed);
     const unsigned many = below(4);
     some(many, N_REAL + 1, 0);
@@ -108,20 +109,23 @@ static void begin(fmi2Component c, int exchange) {
 }
 
 static const char *promises(fmi2Component c) {
-    static const unsigned measured_of = VR_MEASURED, flags_of[2] = {VR_COVERED, VR_CERTIFIED};
+    static const unsigned every_of = N_REAL + IX_STOP_EVERY;
     static unsigned all[N_REAL];
-    fmi2Boolean measured, flags[2];
+    fmi2Boolean flag[FLAGS];
+    fmi2Integer every;
     for (unsigned k = 0; k < N_REAL; k++) all[k] = k;
-    if (fmi2GetBoolean(c, flags_of, 2, flags) != fmi2OK || fmi2GetBoolean(c, &measured_of, 1, &measured) != fmi2OK) return 0;
+    if (fmi2GetBoolean(c, flags_of, FLAGS, flag) != fmi2OK || fmi2GetInteger(c, &every_of, 1, &every) != fmi2OK) return 0;
     if (fmi2GetReal(c, all, N_REAL, x) != fmi2OK) return 0;
-    covered_seen += flags[0];
-    certified_seen += flags[1];
-    const char *wrong = flags[0] ? beyond(x, measured) : 0;
-    return wrong ? wrong : untrue(x, flags[1]);
+    covered_seen += flag[FLAG_COVERED];
+    certified_seen += flag[FLAG_CERTIFIED];
+    keep(x, flag, every);
+    const char *wrong = flag[FLAG_COVERED] ? beyond(x, flag[FLAG_MEASURED]) : 0;
+    return wrong ? wrong : untrue(x, flag[FLAG_CERTIFIED]);
 }
 
 int main(int argc, char **argv) {
-    if (argc != 4) return 2;
+    if (argc != 4 && argc != 5) return 2;
+    if (argc == 5 && !(kept = fopen(argv[4], "w"))) return 2;
     static const char *const folders[] = {0, "", "file:///nowhere", "no address", "file:///%00"};
     const fmi2CallbackFunctions callbacks = {write_log, calloc, free, 0, 0};
     const long first = atol(argv[2]), count = atol(argv[3]);
@@ -148,6 +152,7 @@ int main(int argc, char **argv) {
         saved = 0;
         fmi2FreeInstance(c);
     }
+    if (kept) fclose(kept);
     printf("ok %ld errors, %ld times covered, %ld times certified\n", errors, covered_seen, certified_seen);
     return 0;
 }

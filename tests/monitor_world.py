@@ -37,6 +37,7 @@ from stopset.reach.flowpipe import discretise
 PROFILE: Profile = load_profile("lwa4p/monitor")
 VALID, STALE, RECOVER, EVIDENCE = 0.030, 0.080, 0.060, 0.024  # [s]
 EPOCH = 1_700_000_000_000_000_000
+EMERGENCY = 0x085  # of node 5
 LOOK = 50e-6  # [s] what any look at the world takes
 
 
@@ -103,6 +104,7 @@ class World:
         self.given = -math.inf
         self.off_until = -math.inf
         self.node_bad = self.stopped = False
+        self.known = -1  # messages since a daemon has heard the emergency, -1: it has not
         self.stood = 0.0
         self.handlers: list[Callable[[str, bytes], None]] = []
         self.slow: dict[str, list[bytes | str]] = {}
@@ -171,6 +173,8 @@ class World:
         _, _, frame, sampled = heapq.heappop(self.frames)
         if frame.cob_id == 0x080:
             self.given = sampled
+        elif frame.cob_id == EMERGENCY:
+            self.known = 0
         if self.stopped and frame.cob_id > 0x700:
             frame = frame._replace(data=b"\x04")
         # the adapter stamps with this machine's clock, as it was set then
@@ -217,9 +221,10 @@ class World:
             self.off_until = self.now + rng.choice([0.01, 0.3])
         elif event == "reset":
             self.resets += 1
+            self.node_bad, self.known = self.stopped, -1  # a person may have said that the drive is well
             self.order("reset", b'{"name": "A. Person", "reason": "seen"}')
         elif event == "emergency":
-            self._frame_now(0x085, b"\x50\x23\x01\0\0\0\0\0")
+            self._frame_now(EMERGENCY, b"\x50\x23\x01\0\0\0\0\0")
         elif event == "drives stop":
             self.stopped = True
             self._frame_now(0x000, b"\x02\x00")
@@ -243,6 +248,7 @@ class World:
             m = unpack(data)
             self.published.append(Published(self.now, self.life, m, self.given, not self.node_bad, self.resets, self.stood))
             self.stood = 0.0
+            self.known += self.known >= 0
             if rng.random() < f.rubbish:
                 self.order(rng.choice(["reset", "challenge"]), rng.choice([b"", b"\xff" * 100, b'{"name": "\xff"}', b"[" * 5000]))
             if rng.random() < f.slow_send:
@@ -316,8 +322,9 @@ class World:
         while self.now < self.seconds:
             self.life += 1
             self.handlers.clear()
-            # an emergency is told once: who comes later sees the statusword only, which here stays as it was
-            self.node_bad = self.stopped
+            # an emergency is told once: who comes later knows it from who heard it, and had time and a disk to write it down
+            lost = self.torn or self.faults.disk_error > 0.0 or self.known < 2
+            self.node_bad = self.stopped or (self.node_bad and not lost)
             try:
                 daemon = Daemon(
                     config, self.model, self._open(), self, DT,

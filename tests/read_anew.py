@@ -35,4 +35,7 @@ def from_scratch(
     found = tally.survey(retained.learnt, retained.session, retained.dt)
     run = Run(robot, meta, source, found, settings)
     sums = sums_of(run, retained.nominal, retained.form, keep=True, scheduler=scheduler)
-    return stopped(concluded(run, retained.nominal, retained.form, sums, tally), stops, progress)
+    whole = stopped(concluded(run, retained.nominal, retained.form, sums, tally), stops, progress)
+    # the laws that were chosen for the nominal model stay with it
+    chosen = {k: x for k, x in model.provenance.items() if k == "chosen"}
+    return replace(whole, model=replace(whole.model, provenance={**whole.model.provenance, **chosen}))

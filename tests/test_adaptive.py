@@ -397,3 +397,15 @@ def test_a_foreign_damaged_or_hostile_state_is_refused(nine: Campaign, tmp_path:
     ):  # fmt: skip
         with pytest.raises(ModelFileError):
             load_state(make(), nine.model)
+
+
+def test_what_belongs_to_the_nominal_model_survives_an_update(motor: Campaign) -> None:
+    """Its errors decide stop bounds and what `diagnose` tells of a change: a model that takes new recordings in must not lose them."""
+    trials = recordings(J, v, 3, seconds=2.0, bias=0.0, seed=84)
+    new = save_trials(motor.folder / "later.parquet", trials, JOINTS, effort="motor_torque")
+    added = update(motor.model, motor.retained(), [new]).model
+    assert motor.model.inertia_std is not None and added.inertia_std is not None
+    assert np.array_equal(added.inertia_std, motor.model.inertia_std)
+    for key in ("chosen", "taken_out", "friction_covariance"):
+        assert added.provenance[key] == motor.model.provenance[key]
+    assert added.provenance["friction_covariance"]

@@ -265,6 +265,25 @@ def test_an_error_that_is_gone_is_no_all_clear_while_others_are_left(heard: bool
     assert d.nodes.bad(1.2) == (0, "")
 
 
+@pytest.mark.parametrize("command", [b"\x81\x05", b"\x82\x05", b"\x81\x00"])
+def test_an_emergency_ends_with_the_drive_s_own_start_and_not_with_an_order_to_start(command: bytes) -> None:
+    """A drive that has not heard the master's reset goes on as it was, with its error."""
+    d, error, alive = Decoder(PROFILE), b"\x10\x23\x03\0\0\0\0\0", [(0x700 + i, b"\x05") for i in PROFILE.nodes.values()]
+    for cob, data in [*alive, (0x085, error), (0x000, command), *alive, (0x000, b"\x01\x00"), *alive, (0x705, b"\x7f"), *alive]:
+        d.frame(cob, data, 1.0)
+    assert d.nodes.bad(1.0)[0] == 0b100 and d.nodes.in_force == {"arm_3_joint": 0x2310}
+    other = Decoder(PROFILE)  # who comes later is told by who was there
+    for cob, data in alive:
+        other.frame(cob, data, 1.0)
+    other.nodes.recall({**d.nodes.in_force, "no such joint": 1})
+    assert other.nodes.bad(1.0) == d.nodes.bad(1.0) and other.nodes.standing[5] != other.nodes.standing[4]
+    for cob, data in [(0x705, b"\x00"), (0x705, b"\x05")]:
+        d.frame(cob, data, 1.0)
+    other.nodes.dismiss()
+    for nodes in (d.nodes, other.nodes):
+        assert nodes.bad(1.0) == (0, "") and nodes.in_force == {} and nodes.standing[5] == nodes.standing[4]
+
+
 def test_other_nodes_and_emergencies_are_told_apart() -> None:
     d = Decoder(PROFILE)
     _, frames = one_cycle()

@@ -37,7 +37,6 @@ SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("stops", "checked at {:g} points", (ramp.POINTS,)),
     ("uncertainty-sets", "differ by more than {:g} % of the torque error", (100 * staleness.SHARE,)),
     ("uncertainty-sets", "more than {:g} times that on the old ones", (staleness.GROWN,)),
-    ("stops", "a failed ramp gets {:g} tube", (failed.FAST_TUBES[1],)),
     ("uncertainty-sets", "bound at {:g} %", (100 * guarantee.CONFIDENCE,)),
     ("uncertainty-sets", "nominal torque at {:g} % of", (100 * parameter_uncertainty.SHARE,)),
 )
@@ -48,6 +47,8 @@ IN_WORDS: tuple[tuple[str, str, float], ...] = (
     ("diagnosis", "(of {} seconds, where", limit.PART),
     ("diagnosis", "it takes {} as much", prior.IDENTIFICATION),
     ("stops", "is cut into {} windows", tubes.FAST_WINDOWS),
+    ("stops", "a monitored ramp into {} slices, or", failed.FAST_SLICES),
+    ("stops", "into {} where the energy has to help", failed.SLICES),
     ("uncertainty-sets", "With fewer than {} motions it is calibrated", calibration.FEWEST_MOTIONS),
     ("uncertainty-sets", "never narrower than {} the standard error", parameter_uncertainty.ERRORS),
 )

@@ -6,7 +6,7 @@ import contextlib
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -454,28 +454,33 @@ def test_a_unit_is_checked_against_what_it_was_where_it_was_exported(
     assert main(["check-fmu", str(fmu), "--json", str(tmp_path / "a.json")]) == 0
     assert "is what it was" in capsys.readouterr().out
     assert json.loads((tmp_path / "a.json").read_text())["good"] is True
-    other = tmp_path / "other.fmu"  # a reference changed by a hair, as a wrong library would be seen
-    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(other, "w") as new:
-        for name in old.namelist():
-            text = old.read(name)
-            if name.endswith("_ref.csv"):
-                rows = text.decode().splitlines()
-                cells = rows[50].split(",")
-                cells[1] = repr(float(cells[1]) + 2e-9)
-                text = "\n".join([*rows[:50], ",".join(cells), *rows[51:]]).encode()
-            if name != SUMS:
-                new.writestr(name, text)
+    other = tmp_path / "other.fmu"
+
+    def by_a_hair(name: str, text: bytes) -> bytes:
+        """A reference, as a wrong library would be seen."""
+        if not name.endswith("_ref.csv"):
+            return text
+        rows = text.decode().splitlines()
+        cells = rows[50].split(",")
+        cells[1] = repr(float(cells[1]) + 2e-9)
+        return "\n".join([*rows[:50], ",".join(cells), *rows[51:]]).encode()
+
+    rewritten(fmu, other, by_a_hair)
     assert main(["check-fmu", str(other)]) == 1
-    assert "NOT" in capsys.readouterr().out
-    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(other, "w") as new:  # a number that no run looks at
-        for name in old.namelist():
-            text = old.read(name)
-            new.writestr(name, text.replace(b"stopset", b"stopsat") if name == "sources/model_data.c" else text)
+    said = capsys.readouterr().out
+    assert "NOT" in said and "differs from the reference by 2.0e-09" in said
+    # a number that no run looks at
+    rewritten(fmu, other, lambda name, text: text.replace(b"stopset", b"stopsat") if name == "sources/model_data.c" else text)
     assert main(["check-fmu", str(other)]) == 1
     assert "sources/model_data.c is not the file of the export" in capsys.readouterr().out
-    plain = tmp_path / "plain.fmu"
+    rewritten(fmu, other, lambda name, text: None if name == SUMS else text)
+    assert main(["check-fmu", str(other)]) == 1
+    assert f"{SUMS} is missing" in capsys.readouterr().out
+    plain, table = tmp_path / "plain.fmu", tmp_path / "table.fmu"
     plain.write_bytes(archive(model, Contents(fmi, source_only=True)))
+    rewritten(fmu, table, lambda name, text: b"0 0" if name.endswith("_ref.csv") else text)
     for path, says in (
+        (table, "_ref.csv is no table of numbers"),
         (tmp_path / "none.fmu", "none.fmu"),
         (Path(__file__), "expected an FMU"),
         (plain, "no library for this machine"),
@@ -483,3 +488,24 @@ def test_a_unit_is_checked_against_what_it_was_where_it_was_exported(
         assert main(["check-fmu", str(path)]) == 2
         said = capsys.readouterr().err
         assert says in said and said.count("\n") == 1
+
+
+def rewritten(fmu: Path, to: Path, change: Callable[[str, bytes], bytes | None]) -> None:
+    """A unit whose files are others, or missing."""
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(to, "w") as new:
+        for name in old.namelist():
+            if (text := change(name, old.read(name))) is not None:
+                new.writestr(name, text)
+
+
+def test_a_library_that_is_not_the_export_s_is_not_run(exported: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Half a library ends the process that loads it; nor is one run before the key that must have signed it is known to have."""
+    fmu, other = exported(arm_model(2, effort="motor_torque"), "half", 3), tmp_path / "half.fmu"
+    rewritten(fmu, other, lambda name, text: text[:3000] if name.startswith("binaries/") else text)
+    checked = check_fmu(other)
+    assert not checked.good and checked.rows == checked.stops == 0 and not checked.differences
+    assert main(["check-fmu", str(other)]) == 1
+    said = capsys.readouterr().out
+    assert "is not the file of the export" in said and "nothing of it was run" in said and "do not use it" in said
+    unsigned = check_fmu(fmu, trusted=False)
+    assert not unsigned.good and unsigned.rows == 0

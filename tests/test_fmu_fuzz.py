@@ -10,13 +10,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stopset.artifact import Model
 from stopset.fmu import Contents, archive
-from stopset.fmu.stops import stop_refusal
+from stopset.fmu.stops import bounds_of, stop_refusal
 from stopset.offline.abstraction import build
+from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.path import Path as StopPath
+from stopset.reach.stops.types import Category
 from test_fmu import EFFECTS, friction
 from test_fmu_catalogue import fitted
 from test_fmu_path import posed, rows
@@ -73,19 +76,52 @@ def fuzzers(folder: Path, model: Model, *options: str, path: StopPath | None = N
     return [[program, token] for program in out]
 
 
+CATEGORIES: tuple[Category, ...] = ("0", "1", "1 guaranteed", "2")  # by the unit's numbers
+
+
+def held_against_python(model: Model, kept: Path) -> tuple[int, int]:
+    """How many certified bounds of states that the fuzzer came through are Python's to the last bit, and how many there are."""
+    bounds, n, lines = bounds_of(model), model.n, set(kept.read_text().splitlines())
+    assert bounds.setting is not None
+    equal, cores = 0, {}
+    for line in lines:
+        category, monitored, *hexadecimal = line.split()
+        off_after, *numbers = map(float.fromhex, hexadecimal)
+        when = bool(int(monitored)), off_after if off_after >= 0.0 else None
+        if when not in cores:
+            ramp = None if bounds.ramp is None else replace(bounds.ramp, monitored=when[0], off_after=when[1])
+            cores[when] = CompiledStops.of(bounds.setting, ramp)
+        q, dq, outputs = np.array(numbers[:n]), np.array(numbers[n : 2 * n]), np.array(numbers[2 * n :])
+        want = cores[when].bound(q, dq, CATEGORIES[int(category)])
+        if want is not None:
+            angle = np.maximum(want.forward, want.back)
+            equal += np.array_equal(outputs, np.concatenate([want.time, angle, want.forward, want.back, want.tool]))
+    return equal, len(lines)
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, own_effect: object) -> None:
     """Under the address and undefined-behaviour sanitizers; that of leaks comes with the first."""
     leaks = {**os.environ, "ASAN_OPTIONS": "detect_leaks=1"}
     model = MODELS[name]()
     for command in fuzzers(tmp_path, model, *SANITIZE, path=PATHS.get(name)):
-        done = subprocess.run([*command, "1", str(CALLS)], capture_output=True, text=True, timeout=600, check=False, env=leaks)
+        done = subprocess.run(
+            [*command, "1", str(CALLS), str(tmp_path / "kept")],
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+            env=leaks,
+        )
         assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
         words = done.stdout.split()
         assert words[0] == "ok"
         errors, covered, certified = int(words[1]), int(words[3]), int(words[6])
         assert errors > 100 and covered > 100, f"every promise was looked at often: {words}"
         assert certified == 0 if stop_refusal(model) else certified > 100, words
+        if certified:
+            equal, bounds = held_against_python(model, tmp_path / "kept")
+            assert equal == bounds > 20, f"{equal} of {bounds} certified bounds are Python's"
 
 
 @pytest.mark.slow

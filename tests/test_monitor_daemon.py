@@ -20,12 +20,14 @@ from monitor_process import free_port, running, write_config
 from patience import wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError, NotCovered
+from stopset.monitor import daemon as daemon_module
 from stopset.monitor.config import Bus, Config, Fallback, Publish, Stops
 from stopset.monitor.daemon import MAX_FAULTS, Daemon
 from stopset.monitor.layout import Flag, State, unpack
+from stopset.monitor.profile import load_profile
 from stopset.monitor.reloading import Reloading
 from stopset.monitor.sample import Quantum, Sample
-from stopset.monitor.source import SampleSource
+from stopset.monitor.source import CanSource, NoSource, SampleSource
 
 Script = list[Sample | Exception | None]
 
@@ -194,6 +196,49 @@ def test_a_lost_bus_is_fault_until_it_is_back(make: Callable[..., Made]) -> None
     fault = [s for s in wire.states if s["state"] == State.FAULT]
     assert len(fault) > 30, "and it keeps saying so"
     assert wire.slow["state/json"][-1]["samples"] == 10 or wire.words[-1] is not State.FAULT
+
+
+class Silent:
+    """A bus on which nobody says anything."""
+
+    def recv(self, timeout: float) -> None:
+        return None
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_a_reset_of_a_violation_clears_no_emergency_behind_it(make: Callable[..., Made], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody says of a drive what they have not seen, not with an order that comes twice either; and what is cleared may come anew."""
+    monkeypatch.setattr(daemon_module, "HIDDEN", 0.2)
+    daemon, _, wire = make([])
+    source = daemon.source = CanSource(Silent(), load_profile("lwa4p/monitor"), DT)
+    emergency, order = (0x085, b"\x10\x23\x03\0\0\0\0\0", time.time()), b'{"name": "A. Person", "reason": "seen"}'
+    source.decoder.frame(*emergency)
+    daemon.latch.record.why, daemon.latch.record.count = "a measurement was outside its prediction", 3
+
+    def ordered() -> tuple[bool, dict[str, int]]:
+        wire.handlers["reset"]("x/reset", order)
+        daemon.cycle()
+        daemon.publisher._said.clear()
+        return daemon.latch.latched, daemon.latch.record.emergencies
+
+    both = {"arm_3_joint": 0x2310}
+    assert ordered() == (False, both)
+    assert ordered() == (False, both) and "stood behind" in wire.slow["event"][-1]["why"]
+    time.sleep(0.3)
+    assert ordered() == (False, {}) and source.decoder.nodes.in_force == {}
+    cleared, refused, dismissed = [e for e in wire.slow["event"] if "reset" in e["kind"]]
+    assert (cleared["cleared"], cleared["emergencies"], refused["kind"]) == (3, {}, "reset_refused")
+    assert (dismissed["cleared"], dismissed["emergencies"]) == (0, {"arm_3_joint": "0x2310"})
+    source.decoder.frame(*emergency)
+    daemon.cycle()
+    assert daemon.latch.record.emergencies == both
+    # another bus in its place has not heard it, and is told
+    opened = CanSource(Silent(), load_profile("lwa4p/monitor"), DT)
+    daemon.source = NoSource(load_profile("lwa4p/monitor"), time.monotonic() + 60)
+    daemon._lost_bus("the bus is gone", lambda: opened)
+    assert daemon.source is opened and opened.decoder.nodes.in_force == both
 
 
 def test_refuted_model_withdraws_its_numbers_for_the_stated_fallback(make: Callable[..., Made]) -> None:

@@ -7,6 +7,7 @@ import contextlib
 import itertools
 import json
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +31,7 @@ from monitor_process import (
     stopset,
     write_config,
 )
-from patience import Granted, wait
+from patience import Granted, rest, wait
 from state_messages import pack
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
@@ -40,6 +41,7 @@ from stopset.monitor.journal import SLOT
 from stopset.monitor.layout import LENGTH, Flag, State, unpack
 from stopset.monitor.links.hub import Hub
 from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.monitor.profile import load_profile
 from stopset.recording import write_recordings
 
 WATCHDOG = 400  # [ms] a machine shared with everything else
@@ -159,6 +161,44 @@ def test_a_violation_outlives_every_restart_until_a_person_resets_it(cell: Cell)
     assert not twin["violation_latched"] and flagged == {False}
 
 
+def said_on(bus: int, *frames: tuple[int, bytes]) -> None:
+    """What another node says on the hub."""
+    with socket.create_connection(("127.0.0.1", bus), timeout=10) as s:
+        s.recv(64)
+        for cob_id, data in frames:
+            s.sendall(f"< send {cob_id:X} {len(data)} {data.hex(' ')} >".encode())
+        time.sleep(0.2)
+
+
+def test_an_emergency_outlives_a_restart_until_it_is_over(cell: Cell) -> None:
+    """A drive says it once: a daemon that was killed after it must not forget it, nor take a master's order for its end."""
+    node = load_profile("lwa4p/monitor").nodes["arm_3_joint"]
+
+    def names_it(ear: Ear) -> bool:
+        return any("arm_3_joint" in t["why"] and "0x2310" in t["why"] for t in ear.twins[-1:])
+
+    with cell.replay():
+        with cell.daemon() as monitor, Ear(cell.port) as ear:
+            assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0)
+            said_on(cell.bus, (0x080 + node, b"\x10\x23\x03" + bytes(5)))
+            assert ear.wait(lambda: names_it(ear))
+            said_on(cell.bus, (0x000, b"\x81\x00"))  # which the replay's drives do not obey
+            rest(0.5)
+            assert not GOOD & set(ear.states[-50:])
+            monitor.kill()
+        with cell.daemon() as monitor, Ear(cell.port) as ear:
+            assert ear.wait(lambda: names_it(ear), 40.0), {t["why"] for t in ear.twins}
+            rest(0.5)
+            assert not GOOD & set(ear.states), "told once, and still in force"
+            ear.link.put("reset", b'{"name": "A. Person", "reason": "drive looked at"}')
+            assert ear.wait(lambda: GOOD & set(ear.states[-5:])), {t["why"] for t in ear.twins}
+            (event,) = [e for e in ear.events if e["kind"] == "reset"]
+            assert event["emergencies"] == {"arm_3_joint": "0x2310"} and event["name"] == "A. Person"
+            monitor.kill()
+        with cell.daemon(), Ear(cell.port) as ear:
+            assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0), "over for good"
+
+
 def test_a_second_daemon_does_not_get_the_journal(cell: Cell) -> None:
     with cell.daemon(), Ear(cell.port):
         second = stopset("monitor", "--config", str(cell.config))
@@ -228,6 +268,41 @@ def test_no_input_ends_or_hangs_the_daemon(tmp_path: Path) -> None:
         assert ear.wait(healthy), {t["why"] for t in ear.twins}
         (health,) = [json.loads(d) for d in [hear_once(ear, "health")]]
         assert health["orders_dropped"] > 1000 and health["send_errors"] == 0
+
+
+@pytest.mark.parametrize("through", ["bus", "joint_states"])
+def test_a_bus_of_another_cycle_than_the_model_s_is_no_ok_and_said(cell: Cell, through: str) -> None:
+    """Five per cent slower: its SYNC counter goes on by one all the same, and stamps look like lost ones."""
+
+    def says_so(ear: Ear) -> bool:
+        return "samples come every 4.2" in ear.twins[-1]["why"] and "identified at steps of 4 ms" in ear.twins[-1]["why"]
+
+    if through == "joint_states":
+        text, source = cell.config.read_text(), f'[bus]\nlink = "hub:{cell.bus}"'
+        cell.config.write_text(text.replace(source, '[joint_states]\nkey = "js"\ncycle_s = 0.004'))
+    with cell.daemon(), Ear(cell.port) as ear, contextlib.ExitStack() as stack:
+        if through == "bus":
+            stack.enter_context(cell.replay("healthy", "--loop", "--speed", str(4.0 / 4.2)))
+        else:
+            send, sending = ear.link.fast("/js"), threading.Event()
+
+            def sender() -> None:
+                begin, k = time.time_ns(), 0
+                while not sending.wait(max(0.0, (begin + 4_200_000 * k - time.time_ns()) * 1e-9)):
+                    send(joint_state(k, begin + 4_200_000 * k))
+                    k += 1
+
+            thread = threading.Thread(target=sender)
+            stack.callback(thread.join)
+            stack.callback(sending.set)
+            thread.start()
+        assert ear.wait(lambda: ear.twins and says_so(ear), 40.0), {t["why"] for t in ear.twins}
+        rest(1.0)
+        begun = len(ear.raw)
+        rest(2.0)
+        assert ear.wait(lambda: says_so(ear)), {t["why"] for t in ear.twins[-10:]}
+        assert any(e["kind"] == "pace" for e in ear.events)
+        assert not GOOD & set(ear.states[begun:]), "no OK on it"
 
 
 def hear_once(ear: Ear, name: str) -> bytes:

@@ -14,7 +14,7 @@ import pytest
 
 from stop_failing import sample_failed_ramps
 from stopset.reach.stops import Ramp, StopBounds
-from stopset.reach.stops.failed import Cover, StatesAtCut, cover, failed_cells
+from stopset.reach.stops.failed import FAST_SLICES, SLICES, Cover, StatesAtCut, cover, failed_cells
 from stopset.reach.stops.tube import OK
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -29,9 +29,10 @@ RAMPS = {
 }
 
 
+@pytest.mark.parametrize("fast", [False, True])
 @pytest.mark.parametrize("name", RAMPS)
-def test_failures_of_every_joint_on_its_own_stay_inside(name: str) -> None:
-    bounds, rng = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMPS[name]), np.random.default_rng(9)
+def test_failures_of_every_joint_on_its_own_stay_inside(name: str, fast: bool) -> None:
+    bounds, rng = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMPS[name], fast=fast), np.random.default_rng(9)
     for k in range(3):
         q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-1.26, 1.26, 6)
         bound = bounds.bound(q, dq, "1 guaranteed")
@@ -59,10 +60,11 @@ def test_bounds_of_milder_failures_are_escaped(weaker: dict) -> None:  # type: i
     assert sample_failed_ramps(bounds, mild, q, dq, 200, 2).escaped > 0
 
 
-def test_monitored_ramps_allow_what_the_monitor_allows() -> None:
+@pytest.mark.parametrize("slices", [SLICES, FAST_SLICES])
+def test_monitored_ramps_allow_what_the_monitor_allows(slices: int) -> None:
     """Every cell's travel and speed against the integral of the monitored line, to the last of the cells."""
     ramp, dq = Ramp.stated(6, time=0.4, control=0.02).failing(monitored=True), np.full(6, 1.0)
-    cells = failed_cells(ramp, dq)
+    cells = failed_cells(ramp, dq, slices)
     for left in np.linspace(0.0, 0.42, 200):
         t = np.linspace(0.0, left, 2001)
         line = 1.0 - np.clip((t - 0.02) / 0.4, 0.0, 1.0) + ramp.tolerance
@@ -75,11 +77,22 @@ def test_monitored_ramps_allow_what_the_monitor_allows() -> None:
         assert inside
 
 
-@pytest.mark.parametrize(("share", "left"), [(1.0, 8), (1.2, 1)])
-def test_no_cell_lies_in_another(share: float, left: int) -> None:
+def test_in_a_loop_joint_speeds_bound_a_monitored_ramp_where_they_come_to_rest() -> None:
+    """In four boxes; where one does not, as in a box of many speeds, the energy bounds all eight, and says so."""
+    bounds = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMPS["SS1-r"], fast=True)
+    q, dq = np.array([0.3, -0.4, 0.9, 0.2, 1.1, 0.0]), np.array([0.6, -0.4, 0.5, 0.0, 0.3, -0.6])
+    near, far = (bounds.bound(q, dq, "1 guaranteed", np.full(6, 1e-3), np.full(6, more)) for more in (1e-3, 1.3))
+    assert near.certified and near.layer != "energy" and not near.why
+    assert far.certified and far.layer == "energy" and far.why.startswith("fall-back: 8 of 8 boxes")
+    assert sample_failed_ramps(bounds, near, q, dq, 25, 7).escaped == 0
+
+
+@pytest.mark.parametrize("slices", [SLICES, FAST_SLICES])
+@pytest.mark.parametrize(("share", "left"), [(1.0, 1.0), (1.2, 0.0)])
+def test_no_cell_lies_in_another(share: float, left: float, slices: int) -> None:
     """What is left of the line's slices: their first box lies in the second, and with drives that may accelerate all do in the last."""
-    cells = failed_cells(Ramp.stated(6, time=0.4).failing(monitored=True, share=share), np.full(6, 1.0))
-    assert len(cells) == left
+    cells = failed_cells(Ramp.stated(6, time=0.4).failing(monitored=True, share=share), np.full(6, 1.0), slices)
+    assert len(cells) == max(left * slices, 1)
     for a in cells:
         assert not any(
             np.all(a.travel <= b.travel) and np.all(a.share <= b.share) and a.time <= b.time for b in cells if b is not a

@@ -22,15 +22,19 @@ def run(args: argparse.Namespace) -> int:
     from stopset.fmu.check import AGREE, STEMS, check_fmu
 
     check_outputs(args.json, args.report)
-    c = check_fmu(args.fmu)
-    signed, trusted = _signed(args.fmu, args.key)
+    signed, trusted = _signed(args.fmu, args.key)  # before any of it is run
+    c = check_fmu(args.fmu, trusted=trusted)
     good = c.good and trusted
     title = f"{args.fmu}: FMI {c.fmi}, library for {c.platform}"
     lines = [f"files and fmpy's validator: {'; '.join(c.problems) or 'clean'}"]
     for stem, x in c.differences.items():
         lines.append(f"{stem:<6} {c.rows} rows: differs from the reference by {x:.1e} {STEMS[stem]} at most (allowed {AGREE:g})")
-    equal = f"{c.equal} of {c.stops} states equal to the last bit" if c.stops else "this model has none"
-    lines += [f"stop bounds: {equal}", f"a step takes {1e6 * c.step:.0f} us of CPU time here (with fmpy's call)", signed]
+    if c.rows:
+        equal = f"{c.equal} of {c.stops} states equal to the last bit" if c.stops else "this model has none"
+        lines += [f"stop bounds: {equal}", f"a step takes {1e6 * c.step:.0f} us of CPU time here (with fmpy's call)"]
+    else:
+        lines.append("nothing of it was run, as it is not what was exported or signed")
+    lines.append(signed)
     lines.append(
         f"The unit is {'what' if good else 'NOT what'} it was where it was exported{'.' if good else ': do not use it.'}"
     )

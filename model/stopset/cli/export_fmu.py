@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         say(f"compare it on another machine: stopset check-fmu {target}")
     refusal = stop_refusal(model)
     if refusal:
-        say(f"STOP 0 in it: {refusal}")
+        say(f"no stop is bounded in it: {refusal}")
     say("Bounds are covered while the output `covered` is true; they are a monitoring aid, not a safety function.")
     if args.json:
         write_json(

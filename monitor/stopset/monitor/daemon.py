@@ -27,6 +27,7 @@ from stopset.monitor.message import CODES, Observed, StateMessage
 from stopset.monitor.notify import Notifier
 from stopset.monitor.operators import Moment, Operators
 from stopset.monitor.orders import Orders, Reset
+from stopset.monitor.pace import Pace
 from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import Outlet, Publisher
 from stopset.monitor.realtime import Granted
@@ -34,7 +35,7 @@ from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.report import RunCounts, Turn, health, twin
 from stopset.monitor.sample import Sample
-from stopset.monitor.source import NoSource, SampleSource, resumed
+from stopset.monitor.source import NoSource, SampleSource, drives_of, resumed
 from stopset.monitor.spawned import Spawned
 from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide
 from stopset.monitor.stopdesk import StopDesk, seen_by
@@ -44,6 +45,7 @@ from stopset.monitor.watch import check_cycle
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it
 PATIENCE = 0.01  # [s] longest wait for a sample before the heartbeat goes out without one
 FALLBACK_IN_FORCE = int(Flag.FALLBACK_IN_FORCE)
+HIDDEN = 2.0  # [s] after a reset in which another says nothing of what the first has laid bare
 LATE = 3  # samples in a row that came later than they are valid for
 
 
@@ -77,8 +79,11 @@ class Daemon:
         self._use(self._prepare(model, beside.desk, beside.begun))
         self.recovery = Recovery(self.limits)
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
+        self._cleared = float("-inf")
+        self._remind()
         self.operators = Operators.of(config.operators)
         self.stopping = False
+        self.pace = Pace(cycle_s / (config.bus.time_scale if config.bus else 1.0))
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
         self._arrived = float("-inf")
@@ -145,6 +150,7 @@ class Daemon:
     def cycle(self) -> None:
         """Wait for a sample (not longer than a heartbeat), judge it, publish."""
         sample = self.source.next(max(PATIENCE, 2 * self.cycle_s))
+        self._heed()
         begin = self.clock.monotonic()
         if sample is not None:
             self._take(sample, begin)
@@ -159,10 +165,21 @@ class Daemon:
         self._slow_messages(begin, turn)
         self._fault = ""
 
+    def _heed(self) -> None:
+        """What drives say once is kept before anything else happens."""
+        if (drives := drives_of(self.source)) is not None:
+            self.latch.hear(drives.in_force)
+
+    def _remind(self) -> None:
+        """A source that was just opened has not heard what drives said before."""
+        if (drives := drives_of(self.source)) is not None:
+            drives.recall(self.latch.record.emergencies)
+
     def _take(self, s: Sample, now: float) -> None:
         first = self.sample is None
         self.sample, self._arrived = s, now
         self._evidence.append(s)
+        self.pace.take(s.t)
         v = self.verdict = self.watch.step(s)
         t = self.tally
         t.samples += 1
@@ -191,6 +208,8 @@ class Daemon:
         if v.conformance is Conformance.FAULT:
             t.faults += 1
             self.publisher.seldom("fault", why=v.why)
+        if self.pace.why:
+            self.publisher.seldom("pace", why=self.pace.why)
         if v.gap:
             t.gaps += 1
             self.publisher.seldom("gap", why=v.why)
@@ -207,7 +226,7 @@ class Daemon:
         stale = since > self.config.publish.stale_ms * 1e-3
         situation = Situation(
             s is not None, self._fault, stale, self._late_in_a_row >= LATE, self.latch.record.why, age, since, s, self.verdict,
-            fresh, numbers,
+            fresh, numbers, self.pace.why,
         )  # fmt: skip
         state, flags, why = decide(situation, self.limits)
         state, held, why = self.recovery.hold(state, why, now, ahead)
@@ -236,17 +255,29 @@ class Daemon:
         self._say_recorded(now)
 
     def _clear(self, order: Reset, now: float) -> None:
-        """A person clears the latch, if this one may."""
-        who, p = self.operators, self.publisher
+        """A person clears the latch, if this one may; where nothing is latched, the emergencies, which a latch would have hidden."""
+        who, p, drives = self.operators, self.publisher, drives_of(self.source)
+        emergencies = {} if self.latch.latched else self.latch.record.emergencies
         if why := who.refused(order, Moment(self.config.data_id, p.boot, p.seq)):
             p.seldom("reset_refused", why=why)
+            return
+        if emergencies and now - self._cleared < HIDDEN:
+            p.seldom(
+                "reset_refused", why="an emergency of a drive stood behind what was just cleared; look at it, and order anew"
+            )
             return
         name = who.name(order)
         p.event(
             "reset", name=name, reason=order.reason, proven=bool(who.keys), key=order.key if who.keys else "",
             cleared=self.latch.count, joints=list(self.latch.joints),
+            emergencies={joint: f"0x{code:04X}" for joint, code in emergencies.items()},
         )  # fmt: skip
+        self._cleared = now
         self.latch.reset(name, order.reason, now)
+        if emergencies:
+            self.latch.hear({})
+            if drives is not None:
+                drives.dismiss()
 
     def _say_recorded(self, now: float) -> None:
         """What the recorder has found since the last turn."""
@@ -322,6 +353,7 @@ class Daemon:
         return 0
 
     def _lost_bus(self, words: str, reopen: Callable[[], SampleSource]) -> None:
+        self._heed()
         with contextlib.suppress(Exception):  # it is lost anyway
             self.source.close()
         self._arrived = float("-inf")
@@ -337,6 +369,7 @@ class Daemon:
                 self.clock.sleep(PATIENCE)
             try:
                 self.source = resumed(reopen(), self.source)
+                self._remind()
                 self.watch.restart()  # a new source counts its cycles anew
                 return
             except BusError as e:

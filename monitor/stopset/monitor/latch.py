@@ -1,4 +1,5 @@
-"""What has been seen stays seen: violations are latched until a person with a name resets them, restarts or not."""
+"""What has been seen stays seen, restarts or not: violations are latched until a person with a name resets them, and a drive's
+emergency, which is told once, until it is over."""
 
 from __future__ import annotations
 
@@ -49,6 +50,7 @@ class Record:
     entries: list[LatchEntry] = field(default_factory=list)
     reset: dict[str, str] = field(default_factory=dict)  # who cleared it last, and why
     cause: dict[str, Any] = field(default_factory=dict)  # of the first violation, by the evidence; empty: not classed yet
+    emergencies: dict[str, int] = field(default_factory=dict)  # of drives, in force, by joint
 
 
 class Latch:
@@ -122,6 +124,13 @@ class Latch:
             return Kind.UNCLASSED if self.record.entries else Kind.NONE
         return Kind(self.record.cause["kind"])
 
+    def hear(self, emergencies: dict[str, int]) -> None:
+        """The emergencies that are in force from now on, by joint."""
+        if emergencies != self.record.emergencies:
+            self.record.emergencies = dict(emergencies)
+            if self._journal is not None:
+                self._journal.write(self.record)
+
     def save(self, now: float) -> None:
         """Put what is known on disk."""
         if self._journal is not None:
@@ -161,8 +170,8 @@ class Latch:
         return tuple(dict.fromkeys(e.first.joint for e in self.record.entries))
 
     def reset(self, who: str = "", why: str = "", now: float = 0.0) -> None:
-        """Forget; who did it and why is kept."""
-        self.record = Record(reset={"name": who, "reason": why})
+        """Forget the violations; who did it and why is kept."""
+        self.record = Record(reset={"name": who, "reason": why}, emergencies=self.record.emergencies)
         if self._journal is not None:
             self._saved_at, self._saved = now, 0
             self._journal.renew(self.record)

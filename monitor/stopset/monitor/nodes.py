@@ -17,7 +17,7 @@ from stopset.types import Array
 NMT, EMCY, HEARTBEAT = 0x000, 0x080, 0x700
 BOOT, STOPPED, OPERATIONAL, PREOPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 NAMES = {BOOT: "starting", STOPPED: "stopped", OPERATIONAL: "operational", PREOPERATIONAL: "pre-operational"}
-# what a master's command makes of a node; resets (0x81, 0x82) start it anew
+# what a master's command makes of a node; that it has obeyed a reset (0x81, 0x82), its own boot-up message says
 COMMANDS = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PREOPERATIONAL, 0x81: BOOT, 0x82: BOOT}
 PATIENCE = 3.0  # heartbeats that may be missed
 MAX_SAID = 64  # emergencies kept for telling
@@ -42,6 +42,8 @@ class Nodes:
     """Follows the drives of ``joints`` (node id by joint). ``heartbeat_s``: their period; 0 = they send none.
 
     Without heartbeats a node counts as operational until a command or an emergency says otherwise: its PDOs show that it lives.
+    An emergency is in force until the drive says that no error is left, or that it has started anew: CiA 301 has it tell once more what
+    is wrong after that. Who has missed that word waits for an operator's (`dismiss`).
     ``heard`` [s] and ``standing``, by node id, are the core's too: it takes in the heartbeats that change nothing.
     """
 
@@ -50,6 +52,7 @@ class Nodes:
     emergencies: list[tuple[int, bytes]] = field(default_factory=list)
     heard: Array = field(default_factory=lambda: np.full(lib.STOPSET_NODES, -np.inf))
     standing: NDArray[np.uint8] = field(default_factory=lambda: np.full(lib.STOPSET_NODES, lib.STOPSET_STRANGER, np.uint8))
+    in_force: dict[str, int] = field(default_factory=dict)  # emergencies by joint
     _nodes: dict[int, Node] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -72,7 +75,23 @@ class Nodes:
             self._emergency(cob_id - EMCY, bytes(data))
         elif HEARTBEAT < cob_id < HEARTBEAT + 0x80 and len(data) == 1 and cob_id - HEARTBEAT in self._nodes:
             self.heard[cob_id - HEARTBEAT] = t
+            if data[0] == BOOT:
+                self._nodes[cob_id - HEARTBEAT].emergency = 0
             self._becomes(cob_id - HEARTBEAT, data[0] & 0x7F)
+
+    def recall(self, emergencies: Mapping[str, int]) -> None:
+        """What drives said before this was here, by joint, still holds."""
+        for joint, code in emergencies.items():
+            node = self._nodes.get(self.joints.get(joint, -1))
+            if node is not None and not node.emergency:
+                node.emergency = code
+                self._stands(self.joints[joint], node)
+
+    def dismiss(self) -> None:
+        """A person has seen to it that no drive has an error."""
+        for node_id, node in self._nodes.items():
+            node.emergency = 0
+            self._stands(node_id, node)
 
     def remember(self, before: Nodes) -> None:
         """What the same drives said on a bus that was lost still holds: an emergency is told once, its end too."""
@@ -84,8 +103,6 @@ class Nodes:
     def _becomes(self, node_id: int, state: int) -> None:
         node = self._nodes[node_id]
         node.state = state
-        if state == BOOT:
-            node.emergency = 0
         self._stands(node_id, node)
 
     def _emergency(self, node_id: int, data: bytes) -> None:
@@ -98,6 +115,7 @@ class Nodes:
 
     def _stands(self, node_id: int, node: Node) -> None:
         self.standing[node_id] = lib.STOPSET_GOOD if node.good else lib.STOPSET_BAD
+        self.in_force = {joint: self._nodes[i].emergency for joint, i in self.joints.items() if self._nodes[i].emergency}
 
     def bad(self, now: float) -> tuple[int, str]:
         """Bit i set = the drive of joint i is not good at ``now`` [s]; and a sentence on the first of them, empty if none."""
@@ -112,7 +130,10 @@ class Nodes:
     def _why(self, node_id: int, now: float) -> str:
         node = self._nodes[node_id]
         if node.emergency:
-            return f"reports the emergency 0x{node.emergency:04X}"
+            return (
+                f"reports the emergency 0x{node.emergency:04X}, until it says that no error is left, starts anew, or an operator's "
+                "reset says so for it"
+            )
         if not node.good:
             assert node.state is not None
             return f"is {NAMES.get(node.state, f'in the unknown state 0x{node.state:02X}')}"

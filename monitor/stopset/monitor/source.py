@@ -17,6 +17,7 @@ from stopset.monitor.jointstate import MAX_BYTES, JointState
 from stopset.monitor.jointstate import decode as decode_joint_state
 from stopset.monitor.links.batch import Batch, Listener, filler
 from stopset.monitor.links.decoder import Cycle, Decoder
+from stopset.monitor.nodes import Nodes
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.monitor.sample import Quantum, Sample
 from stopset.types import Array
@@ -171,6 +172,11 @@ class CanSource:
 
     def close(self) -> None:
         self.bus.close()
+
+
+def drives_of(source: SampleSource) -> Nodes | None:
+    """What its drives say of themselves, if the source hears that once and must remember it."""
+    return source.decoder.nodes if isinstance(source, CanSource) else None
 
 
 def resumed(source: SampleSource, before: SampleSource) -> SampleSource:

@@ -50,6 +50,7 @@ class Situation:
     verdict: Verdict | None
     fresh: bool
     numbers: dict[str, Numbers]
+    pace: str = ""
 
 
 def flags_of(s: Situation) -> int:
@@ -77,8 +78,8 @@ def flags_of(s: Situation) -> int:
 
 
 def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
-    """State, flags and one sentence. Order: own fault, latched violation, no signal, old data, drives, no verdict, little
-    evidence, no bound, OK."""
+    """State, flags and one sentence. Order: own fault, latched violation, no signal, old data, drives, another cycle, no
+    verdict, little evidence, no bound, OK."""
     flags, v = flags_of(s), s.verdict
     failed = s.fault or (v.why if v is not None and v.conformance is Conformance.FAULT else "")
     if failed:
@@ -100,6 +101,8 @@ def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
         return State.UNKNOWN, flags | _STALE, why
     if s.sample.fault:
         return State.UNKNOWN, flags, s.sample.fault
+    if s.pace:
+        return State.UNKNOWN, flags, s.pace
     if v.conformance is not Conformance.CONFORMANT:
         return State.UNKNOWN, flags, v.why
     if v.oldest < limits.evidence:

@@ -12,7 +12,7 @@ from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, reached, slices, swept_capsules
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
-from stopset.reach.stops.failed import FAST_TUBES, TUBES, failed_stops
+from stopset.reach.stops.failed import TUBES, failed_stops
 from stopset.reach.stops.friction import ROUNDING
 from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
@@ -50,7 +50,7 @@ class StopBounds:
 
     ``setting`` is None when the model knows no brakes: then no STOP 0 can be proved. ``ramp``: for categories 1 and 2;
     ``pieces``: how many tubes a hard case may be cut into (64 for tables); ``fast``: for a loop, some milliseconds each;
-    ``tubes``: the budget of a failed ramp, see `stopset.reach.stops.failed`.
+    ``tubes``: the budget of a failed ramp outside a loop, see `stopset.reach.stops.failed`.
     """
 
     model: Model
@@ -72,7 +72,7 @@ class StopBounds:
         numbers all the same, marked and not certified, instead of "not covered".
         """
         setting = setting_of(model, payload, payload_com, extrapolate=extrapolate.payload)
-        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate.state, FAST_TUBES if fast else TUBES)
+        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate.state)
 
     def bound(
         self, q: ArrayLike, dq: ArrayLike, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None

@@ -29,10 +29,10 @@ from stopset.reach.stops.tube import OK, Plant, Tube
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, KNOTS, expected_stop, march_box
 from stopset.types import Array
 
-SLICES = 8  # of the monitored ramp, by when it is left
+SLICES, FAST_SLICES = 8, 4  # of the monitored ramp, by when it is left; in a fast loop, of which joint speeds say enough
 NARROW = 0.35  # [rad/s] a box whose sides do no more harm is not the trouble: then brakes and rotors are cut instead
 # how many tubes are tried for a failed ramp while none comes to rest, and at all; then the kinetic energy bounds what is open
-TUBES, TABLE_TUBES, FAST_TUBES = (63, 320), (15, 160), (1, 1)  # for one state, in a table of hundreds, in a fast loop
+TUBES, TABLE_TUBES = (63, 320), (15, 160)  # for one state, in a table of hundreds
 SLICE = 8  # one more for every further slice of a monitored ramp and so many of the first number
 ANGLE_WEIGHT = 3.0  # [1/s] harm of a wide angle against a wide speed: slopes of inertia and gravity, some 2 to 4 per rad
 
@@ -73,7 +73,7 @@ class StatesAtCut:
         return parts[0], parts[1]
 
 
-def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
+def failed_cells(ramp: Ramp, dq: Array, slices: int = SLICES) -> list[StatesAtCut]:
     """The boxes to begin with, but those that lie in the next one, which is later: so does their stop.
 
     None where nothing says when power is taken.
@@ -88,9 +88,9 @@ def failed_cells(ramp: Ramp, dq: Array) -> list[StatesAtCut]:
     lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
     control = float(np.max(ramp.control.hi))
     out: list[StatesAtCut] = []
-    for k in range(SLICES + 1):  # left in slice k, until whose start the speed was below the line
-        line = min(top, 1.0 - max(k - 1, 0) / SLICES + ramp.tolerance)
-        s = k / SLICES
+    for k in range(slices + 1):  # left in slice k, until whose start the speed was below the line
+        line = min(top, 1.0 - max(k - 1, 0) / slices + ramp.tolerance)
+        s = k / slices
         path_time = control * min(top, 1.0 + ramp.tolerance) + lasts * (s - 0.5 * s * s + ramp.tolerance * s)
         # without drives that accelerate the speed stays below the line while power is being taken
         speed = line if top <= 1.0 else top
@@ -196,7 +196,28 @@ def failed_stops(setting: Setting, ramp: Ramp, start: Start, tubes: tuple[int, i
             return [(c, plant) for c in cell.halves(dq, together=ramp.together)]
         return [(cell, p) for p in halves(plant, q, lasts)]
 
+    if fast:
+        return in_a_loop(failed_cells(ramp, dq, FAST_SLICES), cells, setting.plant, march)
     least = tubes[0] + (tubes[0] // SLICE * SLICES if ramp.monitored else 0)
-    # in a loop a box that is the only one is tried by joint speeds; of many the kinetic energy says more
-    budget = (0, 0) if fast and ramp.monitored else (least, tubes[1])
-    return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), budget)
+    return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), (least, tubes[1]))
+
+
+def in_a_loop(few: Sequence[StatesAtCut], cells: Sequence[StatesAtCut], plant: Plant, march: MarchOn) -> Cover:
+    """Without cutting: the ``few`` boxes by joint speeds, or else all ``cells`` by the kinetic energy.
+
+    Where joint speeds come to rest they say as much in half the boxes, each in a fraction of the time.
+    """
+
+    def until_one_fails(boxes: Sequence[StatesAtCut], *, energetic: bool) -> tuple[CutPart, ...]:
+        parts: list[CutPart] = []
+        for cell in boxes:
+            parts.append(CutPart(cell, plant, march(cell, plant, energetic=energetic)))
+            if parts[-1].tube.end != OK:
+                break
+        return tuple(parts)
+
+    parts = until_one_fails(few, energetic=False)
+    if parts[-1].tube.end == OK:
+        return Cover(parts, 0, len(parts))
+    loose = until_one_fails(cells, energetic=True)
+    return Cover(loose, len(loose), len(parts))

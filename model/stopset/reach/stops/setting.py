@@ -186,6 +186,7 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
         )
     else:
         yield "the drives give nothing more once power is taken"
+        yield "the recorded torque in the same N m as the brakes': where its scale is wrong by some percent, so are inertias beside the brakes"
     if s.delay_spread is not None:
         yield _delay_spread(s.delay_spread, s.lag)
 

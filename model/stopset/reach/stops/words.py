@@ -30,14 +30,9 @@ BY_ENERGY = "the kinetic energy bounds part of the stop, no less a proof: tubes 
 
 def out_of_budget(loose: int, boxes: int, tried: int) -> str:
     """That the coarser proof stands in for the finer one in a part of a failed ramp's stop."""
-    asked = (
-        f"closed by the {tried} tubes of joint speeds that there is a budget for"
-        if tried
-        else "tried by joint speeds, as there is no time"
-    )
     return (
-        f"fall-back: {loose} of {boxes} boxes of a failed ramp's states were not {asked}, the kinetic energy bounds these; proved, but "
-        "looser"
+        f"fall-back: {loose} of {boxes} boxes of a failed ramp's states were not closed by the {tried} tubes of joint speeds that there "
+        "is a budget for, the kinetic energy bounds these; proved, but looser"
     )
 
 

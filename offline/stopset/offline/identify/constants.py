@@ -143,7 +143,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
     ("cut intervals", split, "TRIALS REWARD BLURRED"),
-    ("failed stops", failed, "SLICES NARROW TUBES TABLE_TUBES FAST_TUBES SLICE ANGLE_WEIGHT"),
+    ("failed stops", failed, "SLICES FAST_SLICES NARROW TUBES TABLE_TUBES SLICE ANGLE_WEIGHT"),
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),

@@ -196,9 +196,11 @@ def _numbers(retained: RetainedSums, found: Survey) -> dict[int, int]:
 
 
 def _revised(old: Model, fresh: Model, added: str, note: str) -> Model:
-    """``fresh`` as the next revision of ``old``, with what no recording tells anything about; the note is among its notes too."""
+    """``fresh`` as the next revision of ``old``, with what no recording tells anything about, and the laws chosen for the nominal model, which
+    stays; the note is among its notes too."""
+    chosen = {k: v for k, v in old.provenance.items() if k == "chosen"}
     fresh = replace(
-        fresh, domain=replace(fresh.domain, payload=old.domain.payload), provenance={**old.provenance, **fresh.provenance},
+        fresh, domain=replace(fresh.domain, payload=old.domain.payload), provenance={**old.provenance, **fresh.provenance, **chosen},
         notes=(*fresh.notes, f"updated: {note}"),
     )  # fmt: skip
     return _next_revision(old, fresh, added, note)

@@ -171,7 +171,7 @@ UNROLLED void box_terms(int n, const Near *near, const Span *x, const Span *w, L
     const Expansion *E = &near->E;
     const StopsetParts *parts = near->parts;
     const double *of_gravity = near->plant->curvature.g, *x_lo = x->lo, *x_hi = x->hi, *w_lo = w->lo, *w_hi = w->hi;
-    double mid[SN], rad[SN], far[SN] = {0.0}, vc[SN], vr[SN], va[SN];
+    double mid[SN], rad[SN], far[SN] = {0.0}, vc[SN], vr[SN], va[SN], fast = 0.0;
     Products speeds;
     Velocity v;
     for (int k = 0; k < n; k++) {
@@ -181,14 +181,19 @@ UNROLLED void box_terms(int n, const Near *near, const Span *x, const Span *w, L
         vc[k] = 0.5 * (w_lo[k] + w_hi[k]);
         vr[k] = 0.5 * (w_hi[k] - w_lo[k]);
         va[k] = size_of(vc[k]) + vr[k];
+        fast += va[k];
         out->x[k] = mid[k];
         out->rad[k] = rad[k];
         out->v[k] = vc[k];
         out->v_rad[k] = vr[k];
     }
     inertia(n, near, mid, rad, far, out);
-    products(n, vc, vr, va, &speeds);
-    velocity_terms(n, E, out, &speeds, &v);
+    if (fast == 0.0) /* gravity alone is asked for */
+        memset(&v, 0, sizeof v);
+    else {
+        products(n, vc, vr, va, &speeds);
+        velocity_terms(n, E, out, &speeds, &v);
+    }
     for (int i = 0; i < n; i++) {
         double g = E->g[i], r = size_of(E->gp[i]);
         for (int k = 0; k < n; k++) {

@@ -18,10 +18,17 @@ typedef struct {
     double lo[SN], hi[SN], mid[SN], rad[SN], size[SN], loose[SN], beyond[SN];
 } Met;
 
+/* M with joints in the moving set; `from`, without `joint`, as long as its slopes have not followed: most rows need none. */
+typedef struct Pivoted {
+    Along A;
+    struct Pivoted *from;
+    int joint;
+} Pivoted;
+
 typedef struct {
-    const Span *v, *p;
+    const Span *v, *p, *enough; /* enough: where no more is asked of rest */
     Span *out, *rest;
-    Along start; /* M */
+    Pivoted start; /* M */
     Met met;
     double loose[SN], beyond[SN], shared; /* how far M v can be from M_c v, all of it and beyond slopes */
     int n, inside[SN], open[SN], count;
@@ -30,7 +37,7 @@ typedef struct {
 static double largest(double lo, double hi) { return most(size_of(lo), size_of(hi)); }
 
 /* w [lo, hi], added; `scale` grows by its size. */
-static void add(double w, double lo, double hi, double *out_lo, double *out_hi, double *scale) {
+UNROLLED void add(double w, double lo, double hi, double *out_lo, double *out_hi, double *scale) {
     *out_lo += w > 0.0 ? w * lo : w * hi;
     *out_hi += w > 0.0 ? w * hi : w * lo;
     *scale += size_of(w) * largest(lo, hi);
@@ -42,7 +49,7 @@ typedef struct {
     double lo[SN], hi[SN], scale[SN], loose[SN], beyond[SN];
 } Rows;
 
-UNROLLED void rows_of(int n, const Along *A, const Met *x, Rows *out) {
+UNROLLED void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
     for (int i = 0; i < n; i += LANES) {
         Four lo = {0}, hi = {0}, scale = {0}, loose = {0}, beyond = {0};
         for (int j = 0; j < n; j++) {
@@ -62,85 +69,98 @@ UNROLLED void rows_of(int n, const Along *A, const Met *x, Rows *out) {
     }
 }
 
-/* By slopes: what one angle or the payload does to the middle of all of row i, and what is beyond; with either of two boxes of its own number. */
-UNROLLED void slopes_of(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
-    Four first = {0}, second = {0};
-    for (int g = 0; g < groups_of(n); g++) {
-        const Four *slope = A->slope[g], own = slope[pair(i, i)], size = SIZES_OF(own);
-        Four turn = {0}, spread = {0};
-        for (int j = 0; j < i; j++) {
-            const Four e = slope[pair(j, i)];
-            turn += e * x->mid[j];
-            spread += SIZES_OF(e) * x->rad[j];
-        }
-        for (int j = i + 1; j < n; j++) {
-            const Four e = slope[pair(i, j)];
-            turn += e * x->mid[j];
-            spread += SIZES_OF(e) * x->rad[j];
-        }
-        first += SIZES_OF(turn + own * mid[0]) + (spread + size * rad[0]);
-        second += SIZES_OF(turn + own * mid[1]) + (spread + size * rad[1]);
+/* A row's own number in one box or either of two; by slopes, what angles and the payload do to the middle of all of the row, and what is beyond. */
+typedef struct {
+    int boxes;
+    double mid[2], rad[2];
+    Four sum[2];
+} Loose;
+
+/* The slopes of group g of row i, added. */
+UNROLLED void add_slopes(int n, const Along *A, const Met *x, int i, int g, Loose *out) {
+    const Four *slope = A->slope[g], own = slope[pair(i, i)], size = SIZES_OF(own);
+    Four turn = {0}, spread = {0};
+    for (int j = 0; j < i; j++) {
+        const Four e = slope[pair(j, i)];
+        turn += e * x->mid[j];
+        spread += SIZES_OF(e) * x->rad[j];
     }
-    out[0] = sum_of(&first);
-    out[1] = sum_of(&second);
+    for (int j = i + 1; j < n; j++) {
+        const Four e = slope[pair(i, j)];
+        turn += e * x->mid[j];
+        spread += SIZES_OF(e) * x->rad[j];
+    }
+    for (int k = 0; k < out->boxes; k++) out->sum[k] += SIZES_OF(turn + own * out->mid[k]) + (spread + size * out->rad[k]);
 }
 
-STOPSET_WIDE static void sum_rows(int n, const Along *A, const Met *x, Rows *out) {
-    SIZED(rows_of, n, A, x, out);
-}
-
-STOPSET_WIDE static void sum_slopes(int n, const Along *A, const Met *x, int i, const double mid[2], const double rad[2], double out[2]) {
-    SIZED(slopes_of, n, A, x, i, mid, rad, out);
+static void follow_slopes(int n, Pivoted *x) {
+    if (!x->from) return;
+    follow_slopes(n, x->from);
+    stops_pivot_slopes(n, &x->from->A, x->joint, &x->A);
+    x->from = 0;
 }
 
 /* How far a row is from that at the entries' middle. */
-static double away(double loose, double spread, double scale, double shared) {
+static inline double away(double loose, double spread, double scale, double shared) {
     return least(loose, shared * spread) + stopset_rate_rounding * (scale + loose);
 }
 
-/* Row i of a joint inside: its speed. Its own entry is below zero: a pivot makes it so, others lower it. What another set of joints has said
- * better already, even were this one exact, is not asked how loose it is. */
-static void read_speed(const Along *A, const Rows *rows, int i, Exchange *x) {
+/* Row i of a joint inside: its speed. Its own entry is below zero: a pivot makes it so, others lower it. Sizes only add up: what another set of
+ * joints has said better already is not asked how loose all of it is. */
+UNROLLED void read_speed(int n, Pivoted *at, const Rows *rows, int i, Exchange *x) {
+    const Along *A = &at->A;
     const Met *met = &x->met;
     const double own = A->own[i], size = size_of(own), lo = -(rows->hi[i] + own * met->lo[i]), hi = -(rows->lo[i] + own * met->hi[i]);
-    if (lo <= x->out->lo[i] && hi >= x->out->hi[i]) return;
-    const double mid[2] = {met->mid[i], met->mid[i]}, rad[2] = {met->rad[i], met->rad[i]};
-    double spread[2];
-    sum_slopes(x->n, A, met, i, mid, rad, spread);
-    const double off = away(rows->loose[i] + size * met->loose[i], spread[0] + (rows->beyond[i] + size * met->beyond[i]),
-                            rows->scale[i] + size * met->size[i], x->shared);
+    const double loose = rows->loose[i] + size * met->loose[i], beyond = rows->beyond[i] + size * met->beyond[i], scale = rows->scale[i] + size * met->size[i];
+    double off = away(loose, beyond, scale, x->shared);
+    Loose all = {1, {met->mid[i]}, {met->rad[i]}, {{0}, {0}}};
+    for (int g = 0; g < groups_of(n); g++) {
+        if (lo - off <= x->out->lo[i] && hi + off >= x->out->hi[i]) return;
+        follow_slopes(n, at);
+        add_slopes(n, A, met, i, g, &all);
+        off = away(loose, sum_of(all.sum) + beyond, scale, x->shared);
+    }
     x->out->lo[i] = most(x->out->lo[i], lo - off);
     x->out->hi[i] = least(x->out->hi[i], hi + off);
 }
 
 /* Row i of another: how much momentum the others pull at it where it does not move forward, and where it does not move backward. */
-static void read_pulls(const Along *A, const Rows *rows, int i, Exchange *x) {
-    const double own = A->own[i], v_lo = x->v->lo[i], v_hi = x->v->hi[i], loose = rows->loose[i] + x->loose[i];
+UNROLLED void read_pulls(int n, Pivoted *at, const Rows *rows, int i, Exchange *x) {
+    const Along *A = &at->A;
+    Span *rest = x->rest;
+    const double own = A->own[i], v_lo = x->v->lo[i], v_hi = x->v->hi[i], loose = rows->loose[i] + x->loose[i], beyond = rows->beyond[i] + x->beyond[i];
     const double lo[2] = {v_lo, most(v_lo, 0.0)}, hi[2] = {least(v_hi, 0.0), v_hi};
     const double up = rows->hi[i] + own * (own > 0.0 ? hi[0] : lo[0]), down = rows->lo[i] + own * (own > 0.0 ? lo[1] : hi[1]);
-    const int more_up = v_lo <= 0.0 && !(up >= x->rest->hi[i]), more_down = v_hi >= 0.0 && !(down <= x->rest->lo[i]);
-    double mid[2], rad[2], spread[2], off[2];
-    if (!more_up && !more_down) return;
+    const int asks_up = v_lo <= 0.0 && rest->hi[i] > x->enough->hi[i], asks_down = v_hi >= 0.0 && rest->lo[i] < x->enough->lo[i];
+    double scale[2], off[2];
+    Loose all = {2, {0.0, 0.0}, {0.0, 0.0}, {{0}, {0}}};
     for (int k = 0; k < 2; k++) {
-        mid[k] = 0.5 * (lo[k] + hi[k]);
-        rad[k] = 0.5 * (hi[k] - lo[k]);
+        all.mid[k] = 0.5 * (lo[k] + hi[k]);
+        all.rad[k] = 0.5 * (hi[k] - lo[k]);
+        scale[k] = rows->scale[i] + size_of(own) * largest(lo[k], hi[k]);
+        off[k] = away(loose, beyond, scale[k], x->shared);
     }
-    sum_slopes(x->n, A, &x->met, i, mid, rad, spread);
-    for (int k = 0; k < 2; k++)
-        off[k] = away(loose, spread[k] + (rows->beyond[i] + x->beyond[i]), rows->scale[i] + size_of(own) * largest(lo[k], hi[k]), x->shared);
-    if (more_up) x->rest->hi[i] = least(x->rest->hi[i], up + off[0]);
-    if (more_down) x->rest->lo[i] = most(x->rest->lo[i], down - off[1]);
+    for (int g = 0; g < groups_of(n); g++) {
+        if (!(asks_up && up + off[0] < rest->hi[i]) && !(asks_down && down - off[1] > rest->lo[i])) return;
+        follow_slopes(n, at);
+        add_slopes(n, A, &x->met, i, g, &all);
+        for (int k = 0; k < 2; k++) off[k] = away(loose, sum_of(all.sum + k) + beyond, scale[k], x->shared);
+    }
+    if (asks_up) rest->hi[i] = least(rest->hi[i], up + off[0]);
+    if (asks_down) rest->lo[i] = most(rest->lo[i], down - off[1]);
+}
+
+UNROLLED void rows_read(int n, Pivoted *at, Exchange *x) {
+    Rows rows;
+    sum_rows(n, &at->A, &x->met, &rows);
+    for (int i = 0; i < n; i++) {
+        if (x->inside[i] && x->out) read_speed(n, at, &rows, i, x);
+        if (!x->inside[i] && x->rest) read_pulls(n, at, &rows, i, x);
+    }
 }
 
 /* Speeds of the joints inside and pulls at the others, from the momenta inside and the speeds of the others. */
-static void read_rows(const Along *A, Exchange *x) {
-    Rows rows;
-    sum_rows(x->n, A, &x->met, &rows);
-    for (int i = 0; i < x->n; i++) {
-        if (x->inside[i] && x->out) read_speed(A, &rows, i, x);
-        if (!x->inside[i] && x->rest) read_pulls(A, &rows, i, x);
-    }
-}
+STOPSET_WIDE static void read_rows(Pivoted *at, Exchange *x) { SIZED(rows_read, x->n, at, x); }
 
 /* What meets the column of joint j, inside or not. */
 static void meet(Exchange *x, int j, int inside) {
@@ -157,24 +177,26 @@ static void meet(Exchange *x, int j, int inside) {
 }
 
 /* Every subset of the open joints from the k-th on; each is a few pivots away from the inertia itself. */
-static void visit(const Along *A, int k, Exchange *x) {
-    Along B;
+static void visit(Pivoted *at, int k, Exchange *x) {
+    Pivoted next;
     if (k == x->count) {
-        read_rows(A, x);
+        read_rows(at, x);
         return;
     }
     const int joint = x->open[k];
-    if (A->own[joint] > 1e-6 * x->start.own[joint]) { /* first, as all momenta together mostly say the most */
-        stops_pivot_along(x->n, A, joint, &B);
+    if (at->A.own[joint] > 1e-6 * x->start.A.own[joint]) { /* first, as all momenta together mostly say the most */
+        next.from = at;
+        next.joint = joint;
+        stops_pivot_values(x->n, &at->A, joint, &next.A);
         meet(x, joint, 1);
-        visit(&B, k + 1, x);
+        visit(&next, k + 1, x);
         meet(x, joint, 0);
     }
-    visit(A, k + 1, x);
+    visit(at, k + 1, x);
 }
 
 /* Joint k into the moving set: A_ff = -M_ff^-1, A_sf = M_sf M_ff^-1, A_ss = Schur complement. */
-static void pivot(int n, double *A, int k) {
+UNROLLED void pivot(int n, double *A, int k) {
     const double d = 1.0 / A[k * n + k];
     double row[SN], column[SN];
     for (int i = 0; i < n; i++) {
@@ -197,10 +219,9 @@ typedef struct {
     double W[SN * SN], dMW[SN * SN * SN];
 } Inverse;
 
-static int invert(const Near *near, Inverse *out) {
+UNROLLED int inverted(int n, const Near *near, Inverse *out) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     memcpy(out->W, at->M, (size_t)(n * n) * sizeof *out->W);
     for (int k = 0; k < n; k++) {
         if (!(out->W[k * n + k] > 1e-6 * at->M[k * n + k])) return 0;
@@ -209,19 +230,20 @@ static int invert(const Near *near, Inverse *out) {
     for (int k = 0; k < n * n; k++) out->W[k] = -out->W[k];
     for (int k = 0; k < n; k++)
         for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++) {
-                double s = 0.0;
-                for (int o = 0; o < n; o++) s += E->dM[(i * n + o) * n + k] * out->W[o * n + j];
-                out->dMW[(k * n + i) * n + j] = s;
+            for (int j = 0; j < n; j += LANES) { /* what is written beyond the row is the next one's, and comes anew */
+                Four s = {0};
+                for (int o = 0; o < n; o++) s += E->dM[(i * n + o) * n + k] * *(const Four *)(out->W + o * n + j);
+                *(Four *)(out->dMW + (k * n + i) * n + j) = s;
             }
     return 1;
 }
 
+STOPSET_WIDE static int invert(const Near *near, Inverse *out) { return SIZED(inverted, near->E.n, near, out); }
+
 /* How far M v can be from M_c v, speeds in v and momenta in p: the box of v alone, or along the angles dM/dq_k W of M_c v = p +- loose. */
-static void looseness(const Near *near, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
+UNROLLED void loosen(int n, const Near *near, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     double fast[SN], rest[SN], far[SN];
     for (int j = 0; j < n; j++) fast[j] = largest(v->lo[j], v->hi[j]);
     for (int i = 0; i < n; i++) {
@@ -248,9 +270,14 @@ static void looseness(const Near *near, const Inverse *inverse, const Span *v, c
     }
 }
 
-/* For speeds in v and momenta in p, where asked: speeds (out), and momenta of joints that do not move forward (rest.hi) or backward (rest.lo);
- * infinite where nothing is known, or where no such motion is possible (rest.hi -inf, rest.lo inf). */
-static void exchange(const Near *near, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest) {
+STOPSET_WIDE static void looseness(const Near *near, const Inverse *inverse, const Span *v, const Span *p, double *loose) {
+    SIZED(loosen, near->E.n, near, inverse, v, p, loose);
+}
+
+/* For speeds in v and momenta in p, where asked, what was known before cut by what is now: speeds (out), and momenta of joints that do not move
+ * forward (rest.hi) or backward (rest.lo), infinite where no such motion is possible (rest.hi -inf, rest.lo inf). Pulls that are `enough` are not
+ * cut any more. */
+static void exchange(const Near *near, const Inverse *inverse, const Span *v, const Span *p, Span *out, Span *rest, const Span *enough) {
     const int n = near->E.n;
     double fast[SN] = {0.0}, push[SN];
     Exchange x;
@@ -260,30 +287,29 @@ static void exchange(const Near *near, const Inverse *inverse, const Span *v, co
     x.p = p;
     x.out = out;
     x.rest = rest;
+    x.enough = enough;
     x.shared = near->parts->shared;
     for (int i = 0; i < n; i++) fast[i] = largest(v->lo[i], v->hi[i]);
-    stops_slopes(near, fast, &x.start, push, x.beyond);
+    x.start.from = 0;
+    stops_slopes(near, fast, &x.start.A, push, x.beyond);
     looseness(near, inverse, v, p, x.loose);
     for (int i = 0; i < n; i++) {
-        if (out) {
-            out->lo[i] = -STOPS_INF;
-            out->hi[i] = STOPS_INF;
-        }
-        if (rest) {
-            rest->hi[i] = v->lo[i] > 0.0 ? -STOPS_INF : STOPS_INF;
-            rest->lo[i] = v->hi[i] < 0.0 ? STOPS_INF : -STOPS_INF;
-        }
+        if (rest && v->lo[i] > 0.0) rest->hi[i] = -STOPS_INF;
+        if (rest && v->hi[i] < 0.0) rest->lo[i] = STOPS_INF;
         if (v->hi[i] > v->lo[i]) x.open[x.count++] = i;
         meet(&x, i, 0);
     }
     visit(&x.start, 0, &x);
 }
 
+typedef struct {
+    double lo, hi;
+} Bow;
+
 /* 1/2 v' dM/dq_i v over speeds in w and momenta in p: with v = W (p +- loose) and dM/dq_i at the expansion's pose, and what is beyond. */
-static void bow(const Near *near, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i, double out[2]) {
+UNROLLED Bow bow_of(int n, const Near *near, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     double value = 0.0, spread = 0.0, scale = 0.0, c[SN], r[SN];
     for (int j = 0; j < n; j++) {
         c[j] = 0.5 * (p->lo[j] + p->hi[j]);
@@ -307,8 +333,11 @@ static void bow(const Near *near, const Inverse *inverse, const Span *w, const S
         spread += size_of(turned) * r[j];
     }
     spread += stopset_rate_rounding * scale;
-    out[0] = value - spread;
-    out[1] = value + spread;
+    return (Bow){value - spread, value + spread};
+}
+
+STOPSET_WIDE static Bow bow(const Near *near, const Inverse *inverse, const Span *w, const Span *p, const double *loose, int i) {
+    return SIZED(bow_of, near->E.n, near, inverse, w, p, loose, i);
 }
 
 /* How fast momenta can grow (any) and how fast while the joint moves forward (on), and the same downward, speeds within w. */
@@ -316,14 +345,14 @@ static void rates(const Near *near, const Inverse *inverse, const Step *s, const
     const StopsetPlant *p = near->plant;
     const Local *at = &near->at;
     const double share = near->parts->christoffel;
-    double loose[SN], bent[2];
-    looseness(near, inverse, w, momenta, loose);
+    double loose[SN];
+    if (inverse) looseness(near, inverse, w, momenta, loose);
     for (int i = 0; i < at->n; i++) {
         double up = at->e_hi[i] + p->u_hi[i], down = at->e_lo[i] + p->u_lo[i];
         if (inverse) {
-            bow(near, inverse, w, momenta, loose, i, bent);
-            up = least(up, share * bent[1] - at->g_lo[i] + p->u_hi[i]);
-            down = most(down, share * bent[0] - at->g_hi[i] + p->u_lo[i]);
+            const Bow bent = bow(near, inverse, w, momenta, loose, i);
+            up = least(up, share * bent.hi - at->g_lo[i] + p->u_hi[i]);
+            down = most(down, share * bent.lo - at->g_hi[i] + p->u_lo[i]);
         }
         on->hi[i] = up - s->B_lo[i] - p->viscous_lo[i] * most(w->lo[i], 0.0);
         on->lo[i] = down + s->B_lo[i] + p->viscous_lo[i] * most(-w->hi[i], 0.0);
@@ -340,23 +369,23 @@ static void during(int n, const Span *p, const Span *any, double h, Span *out) {
     }
 }
 
-/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), and the momenta. */
+/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), the momenta, and the inverse inertia, if there is one. */
 typedef struct {
     Span any, on, momenta;
+    const Inverse *inverse;
+    Inverse room;
 } Pulls;
 
-/* On a step with speeds in w, from momenta p; where asked: what the momenta leave of the speeds, and what pulls at a joint at rest. */
-static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out, Span *speeds, Span *rest) {
+/* On a step with speeds in w, from momenta p. */
+static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out) {
     const int n = near->E.n;
-    Inverse room;
-    const Inverse *inverse = invert(near, &room) ? &room : 0;
+    const Inverse *inverse = out->inverse = invert(near, &out->room) ? &out->room : 0;
     rates(near, 0, s, w, p, &out->any, &out->on);
     during(n, p, &out->any, s->h, &out->momenta);
     if (inverse) {
         rates(near, inverse, s, w, &out->momenta, &out->any, &out->on);
         during(n, p, &out->any, s->h, &out->momenta);
     }
-    exchange(near, inverse, w, &out->momenta, speeds, rest);
 }
 
 void stops_start_pulls(const Local *at, const Span *v, Span *p) {
@@ -395,7 +424,9 @@ void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, co
             there.hi[i] = x->hi[i] + h * most(claim.hi[i], 0.0);
         }
         stops_box_terms(near, &there, &claim, &near->at);
-        pulls_on(near, s, &claim, p, &found, &raw, 0);
+        pulls_on(near, s, &claim, p, &found);
+        raw = fastest; /* beyond it nothing is asked */
+        exchange(near, found.inverse, &claim, &found.momenta, &raw, 0, 0);
         for (int i = 0; i < n; i++) {
             if (!(raw.lo[i] > claim.lo[i]) && claim.lo[i] > fastest.lo[i]) {
                 enough = 0;
@@ -416,14 +447,29 @@ void stops_pull_caps(Near *near, const Span *x, const Span *v, const Span *p, co
     }
 }
 
+/* From where on (from) a pull at a joint changes its momentum after a step, and below which (enough) it changes it no more. */
+static void asked_of_pulls(int n, double h, const Span *w, const Span *p, const Pulls *on_step, Span *from, Span *enough) {
+    const Span *any = &on_step->any, *on = &on_step->on;
+    for (int i = 0; i < n; i++) {
+        const double hi = p->hi[i] + h * any->hi[i], lo = p->lo[i] + h * any->lo[i], forward = p->hi[i] + h * on->hi[i], backward = p->lo[i] + h * on->lo[i];
+        const double push = most(0.0, h * on->hi[i]), back = least(0.0, h * on->lo[i]);
+        from->hi[i] = w->hi[i] < 0.0 ? hi : hi - push + 1e-9 * (size_of(hi) + push); /* more than rounding can make of it */
+        from->lo[i] = w->lo[i] > 0.0 ? lo : lo - back - 1e-9 * (size_of(lo) - back);
+        enough->hi[i] = w->hi[i] < 0.0 ? -STOPS_INF : forward - push - 1e-9 * (size_of(forward) + push);
+        enough->lo[i] = w->lo[i] > 0.0 ? STOPS_INF : backward - back + 1e-9 * (size_of(backward) - back);
+    }
+}
+
 /* Momenta after a step whose box was looked at and on which speeds lie in w; `step`: cut to what they are on it. */
 void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span *step) {
     const int n = near->E.n, pulled = near->parts->pull > 0.0;
     const double h = s->h;
     Pulls found;
-    Span pull;
+    Span pull, enough;
     const Span *any = &found.any, *on = &found.on, *rest = &pull;
-    pulls_on(near, s, w, p, &found, 0, &pull);
+    pulls_on(near, s, w, p, &found);
+    asked_of_pulls(n, h, w, p, &found, &pull, &enough);
+    exchange(near, found.inverse, w, &found.momenta, 0, &pull, &enough);
     for (int i = 0; i < n; i++) {
         const double hi = p->hi[i] + h * any->hi[i], lo = p->lo[i] + h * any->lo[i], push = most(0.0, h * on->hi[i]), back = least(0.0, h * on->lo[i]);
         const double pull_hi = pulled ? rest->hi[i] + push : -STOPS_INF, pull_lo = pulled ? rest->lo[i] + back : STOPS_INF;
@@ -441,17 +487,17 @@ void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span
 double stops_pull_cut(const Near *near, Span *p, Span *v) {
     const int n = near->E.n;
     double power = 0.0;
-    Span raw, known;
+    Span known;
     Inverse inverse;
     stops_start_pulls(&near->at, v, &known);
     for (int i = 0; i < n; i++) {
         p->lo[i] = most(p->lo[i], known.lo[i]);
         p->hi[i] = least(p->hi[i], known.hi[i]);
     }
-    exchange(near, invert(near, &inverse) ? &inverse : 0, v, p, &raw, 0);
+    Span cut = *v;
+    exchange(near, invert(near, &inverse) ? &inverse : 0, v, p, &cut, 0, 0);
+    *v = cut;
     for (int i = 0; i < n; i++) {
-        v->lo[i] = most(v->lo[i], raw.lo[i]);
-        v->hi[i] = least(v->hi[i], raw.hi[i]);
         power += most(most(v->lo[i] * p->lo[i], v->lo[i] * p->hi[i]), most(v->hi[i] * p->lo[i], v->hi[i] * p->hi[i]));
     }
     return sqrt(most(power, 0.0)) * stopset_energy_rounding;
@@ -462,12 +508,16 @@ int stopset_speed_bounds(const StopsetPlant *plant, const StopsetBox *box, const
     const size_t row = (size_t)n * sizeof *out;
     Near near;
     Inverse inverse;
-    Span v, momenta, speeds, rest;
+    Span v, momenta, speeds, rest, enough;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
     stops_look_at(plant, box, parts, 1, &near);
     stops_span(n, box->v_lo, box->v_hi, &v);
     stops_span(n, p->lo, p->hi, &momenta);
-    exchange(&near, invert(&near, &inverse) ? &inverse : 0, &v, &momenta, &speeds, &rest);
+    for (int i = 0; i < n; i++) {
+        speeds.lo[i] = rest.lo[i] = enough.hi[i] = -STOPS_INF;
+        speeds.hi[i] = rest.hi[i] = enough.lo[i] = STOPS_INF;
+    }
+    exchange(&near, invert(&near, &inverse) ? &inverse : 0, &v, &momenta, &speeds, &rest, &enough);
     memcpy(out, speeds.lo, row);
     memcpy(out + n, speeds.hi, row);
     memcpy(out + 2 * n, rest.lo, row);

@@ -8,7 +8,8 @@
 
 #include "bound.h"
 
-enum { KNOTS = 60, POINTS = 40, SLICES = 8 }; /* of a ramp; of its torque between two joints' rest; by when a monitored one is left */
+enum { KNOTS = 60, POINTS = 40 }; /* of a ramp; of its torque between two joints' rest */
+enum { FEW_SLICES = 4, SLICES = 8 }; /* by when a monitored ramp is left: where joint speeds say enough; where the kinetic energy has to help */
 
 static double clip(double x, double lo, double hi) { return x < lo ? lo : x > hi ? hi : x; }
 
@@ -231,7 +232,7 @@ typedef struct {
 } Cell;
 
 /* All of them but those that lie in the next one, which is later: so does their stop. 0 where nothing says when power is taken. */
-static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLICES + 1]) {
+static int cells_of(const StopsetRamp *r, int n, const double *dq, int slices, Cell cell[SLICES + 1]) {
     double lasts = -STOPS_INF, control = -STOPS_INF;
     int count = 0;
     if (!r->monitored) {
@@ -243,8 +244,8 @@ static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLI
         lasts = most(lasts, r->timed ? r->value_hi[i] : size_of(dq[i]) / r->value_lo[i]);
         control = most(control, r->control_hi[i]);
     }
-    for (int k = 0; k <= SLICES; k++) { /* left in slice k, until whose start the speed was below the line */
-        const double line = least(r->share, 1.0 - (k > 1 ? k - 1 : 0) / (double)SLICES + r->tolerance), s = k / (double)SLICES;
+    for (int k = 0; k <= slices; k++) { /* left in slice k, until whose start the speed was below the line */
+        const double line = least(r->share, 1.0 - (k > 1 ? k - 1 : 0) / (double)slices + r->tolerance), s = k / (double)slices;
         const double path_time = control * least(r->share, 1.0 + r->tolerance) + lasts * (s - 0.5 * s * s + r->tolerance * s);
         /* without drives that accelerate the speed stays below the line while power is being taken */
         const double speed = r->share <= 1.0 ? line : r->share;
@@ -255,13 +256,12 @@ static int cells_of(const StopsetRamp *r, int n, const double *dq, Cell cell[SLI
     return count;
 }
 
-/* One cell's stop, from the box of the request; whether it comes to rest. A box that is the only one is tried by joint speeds first; of many the
- * kinetic energy says more, as in stopset.reach.stops.failed with the budget of a loop. */
-static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const StopsetStates *request, const StopsetBound *out) {
+/* One cell's stop, from the box of the request; whether it comes to rest. */
+static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const StopsetStates *request, int energetic, const StopsetBound *out) {
     const double *q = request->q, *dq = request->dq, *q_radius = request->q_radius, *dq_radius = request->dq_radius;
     const int n = a->stops->plant.arm.n;
     double box[4][SN], lo[SN], hi[SN], speed[SN], fastest[SN];
-    Region region[2];
+    Region region;
     for (int i = 0; i < n; i++) {
         const double moved = cell->path_time * dq[i], v = cell->share * dq[i], off = cell->path_time * dq_radius[i], unsure = cell->share * dq_radius[i];
         lo[i] = least(0.0, moved) - off - r->q_error[i];
@@ -276,10 +276,8 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const Stopse
     }
     a->from = (StopsetStates){box[0], box[1], box[2], box[3]};
     a->lasts = stopset_expected_stop(&a->stops->plant, a->from.q, speed);
-    const double *early = a->stops->plant.delay_lo, *late = a->stops->plant.delay_hi;
-    stops_guess(a, region);
-    stops_guess(a, region + 1);
-    if (!(!r->monitored && stops_march(a, early, late, 0, region, fastest)) && !stops_march(a, early, late, 1, region + 1, fastest)) return 0;
+    stops_guess(a, &region);
+    if (!stops_march(a, a->stops->plant.delay_lo, a->stops->plant.delay_hi, energetic, &region, fastest)) return 0;
     for (int i = 0; i < n; i++) {
         out->time[i] = most(out->time[i], cell->time + stops_rests_after(a, i));
         for (int64_t k = i; k < (a->made + 1) * n; k += n) { /* since the request */
@@ -291,14 +289,19 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const Stopse
     return 1;
 }
 
+/* All cells' stops, as in stopset.reach.stops.failed with the budget of a loop; whether every one comes to rest. */
+static int falls(const StopsetStops *stops, const StopsetRamp *r, const StopsetStates *from, int energetic, double *work, const StopsetBound *out) {
+    Cell cell[SLICES + 1];
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
+    const int count = cells_of(r, stops->plant.arm.n, from->dq, energetic ? SLICES : FEW_SLICES, cell);
+    stops_begin(&a, work, out);
+    for (int k = 0; k < count; k++)
+        if (!fall(&a, r, cell + k, from, energetic, out)) return 0;
+    return count > 0;
+}
+
 int stopset_failed_ramp(const StopsetStops *stops, const StopsetRamp *r, const StopsetStates *from, double *work, const StopsetBound *out) {
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
-    Cell cell[SLICES + 1];
-    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
-    const int count = cells_of(r, n, from->dq, cell);
-    stops_begin(&a, work, out);
-    for (int k = 0; k < count; k++)
-        if (!fall(&a, r, cell + k, from, out)) return 1;
-    return count ? STOPSET_OK : 1;
+    return falls(stops, r, from, 0, work, out) || falls(stops, r, from, 1, work, out) ? STOPSET_OK : 1;
 }

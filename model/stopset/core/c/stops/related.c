@@ -11,21 +11,25 @@
 
 #include "stops.h"
 
+/* Where rates stand side by side: upper ones, then lower ones turned over, so that all are the largest of what is possible. */
+enum { HULLS = (RATES + LANES - 1) / LANES, UPPER = RATES / 2 };
+static const int place_of[RATES] = {5, 0, 6, 1, 2, 7, 3, 8, 4, 9};
+
 typedef struct {
-    int n, inside[SN], open[SN], count, fits;
+    int n, inside[SN], open[SN], count, fits, members, member[SN]; /* member: those inside, in order */
     Along start;                                    /* M */
     double push[SN], beyond[SN];                    /* torques of its change, and of what is beyond slopes, at claimed accelerations */
     double speeds[SN * SLOPES], turns[SN * SLOPES]; /* h: columns of nu; of delta and s */
-    double r_lo[SN], r_hi[SN], r_mid[SN], r_rad[SN], own[RATES][SN]; /* r less the middle of h; of joint i itself */
-    double sized[SN], all[SN];                                       /* sizes of columns and push; with the largest of r */
+    double r_lo[SN], r_hi[SN], r_mid[SN]; /* r less the middle of h */
+    double sized[SN], unsure[SN], all[SN]; /* sizes of columns and push; with half the range of r; with the largest of r */
+    Four torque[SN][HULLS], far[SN][HULLS], hull[SN][HULLS]; /* of each joint itself, by place_of its rates: r, how far from its middle, what was found */
     const Step *s;
-    double (*out)[SN], shared;
+    double shared;
 } Relation;
 
-UNROLLED void pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
+UNROLLED void pivot_values(int n, const Along *restrict A, int k, Along *restrict B) {
     const double d = 1.0 / A->own[k], *row = A->value + k * SN;
     double share[SN];
-    Four bent[SN], old[SN];
     for (int j = 0; j < SN; j++) share[j] = row[j] * d; /* zero for k itself: no branch in the loops */
     for (int i = 0; i < n; i++) {
         const double b = share[i];
@@ -37,6 +41,11 @@ UNROLLED void pivot_along(int n, const Along *restrict A, int k, Along *restrict
     }
     memcpy(B->value + k * SN, share, sizeof share);
     B->own[k] = -d;
+}
+
+UNROLLED void pivot_slopes(int n, const Along *restrict A, int k, Along *restrict B) {
+    const double d = -B->own[k], *share = B->value + k * SN;
+    Four bent[SN], old[SN];
     for (int g = 0; g < groups_of(n); g++) {
         const Four *a = A->slope[g], p = a[pair(k, k)];
         Four *x = B->slope[g];
@@ -54,8 +63,12 @@ UNROLLED void pivot_along(int n, const Along *restrict A, int k, Along *restrict
     }
 }
 
-STOPSET_WIDE void stops_pivot_along(int n, const Along *restrict A, int k, Along *restrict B) {
-    SIZED(pivot_along, n, A, k, B);
+STOPSET_WIDE void stops_pivot_values(int n, const Along *restrict A, int k, Along *restrict B) {
+    SIZED(pivot_values, n, A, k, B);
+}
+
+STOPSET_WIDE void stops_pivot_slopes(int n, const Along *restrict A, int k, Along *restrict B) {
+    SIZED(pivot_slopes, n, A, k, B);
 }
 
 /* What slopes do to row i: sums of their sizes times what torques are uncertain by, of columns, times all that scales rounding, and of its own. */
@@ -68,11 +81,12 @@ UNROLLED Turned turned(int n, const Along *A, int i, const Relation *x) {
     for (int g = 0; g < groups_of(n); g++) {
         const Four *slope = A->slope[g], *column = (const Four *)(x->turns + g * LANES), self = slope[pair(i, i)], own = SIZES_OF(self);
         Four turn = column[i * GROUPS] * -A->own[i] + self * x->r_mid[i], spread = own * x->sized[i], scale = own * x->all[i];
-        for (int j = 0; j < n; j++) {
-            if (j == i || !x->inside[j]) continue;
+        for (int k = 0; k < x->members; k++) {
+            const int j = x->member[k];
+            if (j == i) continue;
             const Four e = slope[j < i ? pair(j, i) : pair(i, j)], size = SIZES_OF(e);
             turn += column[j * GROUPS] * -A->value[i * SN + j] + e * x->r_mid[j];
-            spread += size * (x->sized[j] + x->r_rad[j]);
+            spread += size * x->unsure[j];
             scale += size * x->all[j];
         }
         turn = SIZES_OF(turn);
@@ -92,8 +106,8 @@ UNROLLED void row_of(int n, const Along *A, int i, Relation *x) {
     for (int g = 0; g < groups_of(n); g++) {
         const Four *column = (const Four *)(x->speeds + g * LANES);
         Four speed = column[i * GROUPS] * w;
-        for (int j = 0; j < n; j++)
-            if (j != i && x->inside[j]) speed += column[j * GROUPS] * -A->value[i * SN + j];
+        for (int k = 0; k < x->members; k++)
+            if (x->member[k] != i) speed += column[x->member[k] * GROUPS] * -A->value[i * SN + x->member[k]];
         speed = SIZES_OF(speed);
         spread += sum_of(&speed);
     }
@@ -108,13 +122,10 @@ UNROLLED void row_of(int n, const Along *A, int i, Relation *x) {
     }
     if (!(w > slopes.own)) x->fits = 0; /* else not even the sign of its own answer is known */
     spread = x->shared * spread + stopset_rate_rounding * scale;
-    for (int rate = 0; rate < RATES; rate++) {
-        if (!x->s->zero[i] && !(is_backward(rate) ? x->s->minus[i] : x->s->plus[i])) continue;
-        const double f = x->own[rate][i], away = spread + slopes.own * size_of(f - x->r_mid[i]);
-        if (is_lower(rate))
-            x->out[rate][i] = least(x->out[rate][i], lo + w * f - away);
-        else
-            x->out[rate][i] = most(x->out[rate][i], hi + w * f + away);
+    const Four base[HULLS] = {FOUR_OF(hi), {hi, -lo, -lo, -lo}, FOUR_OF(-lo)};
+    for (int g = 0; g < HULLS; g++) {
+        const Four found = base[g] + w * x->torque[i][g] + (spread + slopes.own * x->far[i][g]), hull = x->hull[i][g];
+        x->hull[i][g] = ABOVE(hull, found);
     }
 }
 
@@ -125,7 +136,8 @@ STOPSET_WIDE static void read_row(const Along *A, int i, Relation *x) {
 /* B: A with joint k inside; 0 if that is not surely possible. */
 static int joined(const Along *A, int k, Relation *x, Along *B) {
     if (!(A->own[k] > 1e-6 * x->start.own[k])) return x->fits = 0;
-    stops_pivot_along(x->n, A, k, B);
+    stops_pivot_values(x->n, A, k, B);
+    stops_pivot_slopes(x->n, A, k, B);
     return 1;
 }
 
@@ -141,6 +153,9 @@ static void visit(const Along *A, int k, Relation *x) {
         x->inside[joint] = 0;
         return;
     }
+    x->members = 0;
+    for (int i = 0; i < x->n; i++)
+        if (x->inside[i]) x->member[x->members++] = i;
     for (int i = 0; i < x->n; i++) {
         if (x->inside[i])
             read_row(A, i, x);
@@ -177,42 +192,76 @@ void stops_slopes(const Near *near, const double *size, Along *A, double *push, 
     }
 }
 
-/* Second slope d2 M_ij / dq_k dq_l at the pose. */
-static double second(const Expansion *E, int i, int j, int k, int l) {
-    const int a = i < j ? i : j, b = i < j ? j : i;
-    return k > a && l > a ? E->ddM[bends_of(E->n, a, b) + (k - a - 1) * (E->n - 1 - a) + l - a - 1] : 0.0;
+/* Of a box: how far it is from the pose and how wide, zero beyond n; second slopes d2 M_ij / dq_k dq_l at the pose, at pair(i, j), k, l. */
+typedef struct {
+    double x[SN], rad[SN], second[PAIRS][SN][SN];
+} Curved;
+
+UNROLLED void curved(int n, const Near *near, Curved *out) {
+    const Expansion *E = &near->E;
+    memset(out->x, 0, sizeof out->x);
+    memset(out->rad, 0, sizeof out->rad);
+    for (int i = 0; i < n; i++) {
+        const int m = n - 1 - i;
+        out->x[i] = near->at.x[i];
+        out->rad[i] = near->at.rad[i];
+        for (int j = i; j < n; j++) {
+            const double *row = E->ddM + bends_of(n, i, j);
+            memset(out->second[pair(i, j)], 0, (size_t)n * sizeof *out->second[0]);
+            for (int k = i + 1; k < n; k++)
+                for (int l = i + 1; l < n; l++) out->second[pair(i, j)][k][l] = row[(k - i - 1) * m + l - i - 1];
+        }
+    }
+}
+
+/* Christoffel symbol of joint i and two speeds in the middle of the box; sizes of its slopes, each times how wide the box is, and their sum. */
+typedef struct {
+    Four turn[SN / LANES];
+    double middle, slopes;
+} Symbol;
+
+UNROLLED void symbol_of(int n, const Expansion *E, const Curved *c, const int ijk[3], Symbol *out) {
+    const int i = ijk[0], k = ijk[1], o = ijk[2], ik = i < k ? pair(i, k) : pair(k, i), io = i < o ? pair(i, o) : pair(o, i), ko = k < o ? pair(k, o) : pair(o, k);
+    out->middle = E->Gamma[(k * n + o) * n + i];
+    out->slopes = 0.0;
+    for (int g = 0; g * LANES < n; g++) {
+        const int at = g * LANES;
+        const Four slope = 0.5 * (*(const Four *)(c->second[ik][o] + at) + *(const Four *)(c->second[io][k] + at) - *(const Four *)(c->second[ko][i] + at));
+        const Four far = slope * *(const Four *)(c->x + at), turn = slope * *(const Four *)(c->rad + at), size = SIZES_OF(turn);
+        out->turn[g] = turn;
+        for (int l = 0; l < LANES && at + l < n; l++) {
+            out->middle += far[l];
+            out->slopes += size[l];
+        }
+    }
 }
 
 /* Columns of the Coriolis torque of joint i; its middle, and what is beyond, added. */
-static void coriolis(const Near *near, int i, Relation *x, double *middle, double *rest) {
+UNROLLED void coriolis(int n, const Near *near, const Curved *curves, int i, Relation *x, double *middle, double *rest) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     double *turns = x->turns + i * SLOPES;
+    Symbol symbol[PAIRS];
+    for (int o = 0; o < n; o++)
+        for (int k = 0; k <= o; k++) symbol_of(n, E, curves, (const int[]){i, k, o}, symbol + pair(k, o));
     for (int k = 0; k < n; k++)
         for (int o = 0; o < n; o++) {
+            const Symbol *y = symbol + (k < o ? pair(k, o) : pair(o, k));
             const int ik = (i * n + k) * n + o, io = (i * n + o) * n + k, ko = (k * n + o) * n + i;
-            const double c = at->v[k], r = at->v_rad[k], b = at->v[o], t = at->v_rad[o], spread = size_of(c) * t + r * size_of(b) + r * t;
-            double G = E->Gamma[ko], slopes = 0.0;
-            for (int l = 0; l < n; l++) {
-                const double slope = 0.5 * (second(E, i, k, o, l) + second(E, i, o, k, l) - second(E, k, o, i, l));
-                G += slope * at->x[l];
-                slopes += size_of(slope) * at->rad[l];
-                turns[l] += slope * at->rad[l] * c * b;
-            }
+            const double c = at->v[k], r = at->v_rad[k], b = at->v[o], t = at->v_rad[o], spread = size_of(c) * t + r * size_of(b) + r * t, G = y->middle;
+            for (int g = 0; g * LANES < n; g++) *(Four *)(turns + g * LANES) += y->turn[g] * c * b;
             turns[n] += E->Gammap[ko] * c * b;
             x->speeds[i * SLOPES + k] += 2.0 * G * b * r;
             *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
-            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (slopes + size_of(E->Gammap[ko])) * spread;
+            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (y->slopes + size_of(E->Gammap[ko])) * spread;
             *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
         }
 }
 
 /* Torques of joint i: columns, and the box of all the rest. */
-static void torques(const Near *near, int i, Relation *x) {
+UNROLLED void torques_of(int n, const Near *near, const Curved *curves, int i, Relation *x) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const int n = E->n;
     const Step *s = x->s;
     double middle = E->g[i], rest = 0.0;
     memset(x->speeds + i * SLOPES, 0, SLOPES * sizeof(double));
@@ -226,46 +275,63 @@ static void torques(const Near *near, int i, Relation *x) {
         rest += (size_of(E->dgp[i * n + k]) + bend) * far;
     }
     x->turns[i * SLOPES + n] = E->gp[i];
-    coriolis(near, i, x, &middle, &rest);
+    coriolis(n, near, curves, i, x, &middle, &rest);
     const double up = s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
     const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
     const double own[RATES] = {lo - s->B_hi[i], hi - up, lo + down, hi + s->B_hi[i], hi - up - s->own_up[i], lo - s->B_hi[i] + s->own_down[i],
                                hi + s->B_hi[i] - s->own_up[i], lo + down + s->own_down[i], hi - s->B_later[i], lo + s->B_later[i]};
-    for (int rate = 0; rate < RATES; rate++) x->own[rate][i] = own[rate];
     x->r_lo[i] = s->plus[i] || !s->minus[i] ? own[0] : own[2];
     x->r_hi[i] = s->minus[i] ? own[3] : own[1];
     x->r_mid[i] = 0.5 * (x->r_lo[i] + x->r_hi[i]);
-    x->r_rad[i] = 0.5 * (x->r_hi[i] - x->r_lo[i]);
+    for (int g = 0; g < HULLS; g++) x->torque[i][g] = x->hull[i][g] = x->far[i][g] = FOUR_OF(0.0);
+    for (int rate = 0; rate < RATES; rate++) {
+        const int goes = s->zero[i] || (is_backward(rate) ? s->minus[i] : s->plus[i]), at_lane = place_of[rate]; /* else it is left where it began */
+        ((double *)x->torque[i])[at_lane] = is_lower(rate) ? -own[rate] : own[rate];
+        ((double *)x->far[i])[at_lane] = size_of(own[rate] - x->r_mid[i]);
+        ((double *)x->hull[i])[at_lane] = -STOPS_INF;
+        if (!goes) ((double *)x->torque[i])[at_lane] = -STOPS_INF;
+        if (!goes) ((double *)x->far[i])[at_lane] = 0.0;
+    }
     x->sized[i] = x->push[i];
     for (int k = 0; k < n; k++) x->sized[i] += size_of(x->speeds[i * SLOPES + k]);
     for (int l = 0; l <= n; l++) x->sized[i] += size_of(x->turns[i * SLOPES + l]);
+    x->unsure[i] = x->sized[i] + 0.5 * (x->r_hi[i] - x->r_lo[i]);
     x->all[i] = most(size_of(x->r_lo[i]), size_of(x->r_hi[i])) + x->sized[i];
+}
+
+UNROLLED void torques(int n, const Near *near, Relation *x) {
+    Curved curves;
+    curved(n, near, &curves);
+    for (int i = 0; i < n; i++) torques_of(n, near, &curves, i, x);
+}
+
+STOPSET_WIDE static void all_torques(const Near *near, Relation *x) {
+    SIZED(torques, x->n, near, x);
 }
 
 /* `out` of stops_accelerations cut to what is known so; left as it is where nothing is. */
 void stops_related(const Near *near, const Step *s, double out[RATES][SN]) {
     const int n = near->E.n;
-    double found[RATES][SN];
     Relation x;
     x.n = n;
     x.fits = 1;
     x.count = 0;
     x.s = s;
-    x.out = found;
     x.shared = near->parts->shared;
     memset(x.inside, 0, sizeof x.inside);
     stops_slopes(near, s->a_far, &x.start, x.push, x.beyond);
-    for (int i = 0; i < n; i++) {
-        torques(near, i, &x);
-        for (int row = 0; row < RATES; row++) found[row][i] = is_lower(row) ? STOPS_INF : -STOPS_INF;
+    all_torques(near, &x);
+    for (int i = 0; i < n; i++)
         if (!s->zero[i]) x.open[x.count++] = i;
-    }
     for (int i = 0; i < n; i++)
         if (s->zero[i] && (s->plus[i] || s->minus[i])) x.open[x.count++] = i;
     visit(&x.start, 0, &x);
     if (!x.fits) return;
     for (int row = 0; row < RATES; row++)
-        for (int i = 0; i < n; i++) out[row][i] = is_lower(row) ? most(out[row][i], found[row][i]) : least(out[row][i], found[row][i]);
+        for (int i = 0; i < n; i++) {
+            const double found = ((const double *)x.hull[i])[place_of[row]];
+            out[row][i] = is_lower(row) ? most(out[row][i], -found) : least(out[row][i], found);
+        }
 }
 
 int stopset_acceleration_bounds(const StopsetPlant *plant, const StopsetBox *box, const StopsetRange *dry, const double *claim, int related,

@@ -111,9 +111,10 @@ enum { LANE_BITS = (1 << LANES) - 1 };
 static inline double sum_of(const Four *x) { return ((*x)[0] + (*x)[1]) + ((*x)[2] + (*x)[3]); }
 static inline int groups_of(int n) { return (n + LANES) / LANES; }
 /* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.
- * Then: B is A with joint k in the moving set, slopes along. */
+ * Then: B is A with joint k in the moving set; its slopes where its values are there already. */
 void stops_slopes(const Near *near, const double *size, Along *A, double *push, double *beyond);
-void stops_pivot_along(int n, const Along *A, int k, Along *B);
+void stops_pivot_values(int n, const Along *A, int k, Along *B);
+void stops_pivot_slopes(int n, const Along *A, int k, Along *B);
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
 void stops_related(const Near *near, const Step *s, double out[RATES][SN]);
 void stops_start_bands(int n, const Span *v, Bands *b);

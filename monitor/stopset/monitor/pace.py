@@ -1,0 +1,55 @@
+"""How fast samples come, held against the step that the model was identified at: a model of steps of 10 ms says nothing of others.
+
+Numbers of cycles do not show it: a counter counts whatever the cycle is, and stamps that lie 5 % too far apart look like lost ones.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+LEAST, MOST = 32, 128  # intervals that the pace is found from
+ANOTHER = 0.02  # of the period: farther off is no clock's error but another cycle
+SURE = 4.0  # standard errors of the middle interval, where stamps scatter
+ERROR = (
+    1.2533 * 1.4826
+)  # of the middle of N intervals, in their middle deviation over the root of N, were they normally distributed
+
+
+@dataclass(slots=True)
+class Pace:
+    """Takes the stamp of every sample; ``why``: words for a pace that is not ``period`` [s], empty as long as nothing speaks against it."""
+
+    period: float
+    why: str = ""
+    _stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST + 1))
+
+    def take(self, t: float) -> None:
+        """A sample stamped ``t`` [s]."""
+        stamps = self._stamps
+        stamps.append(t)
+        intervals = len(stamps) - 1
+        if intervals < LEAST:
+            return
+        # a good bus has the right mean, which is found in no time
+        mean = (t - stamps[0]) / intervals
+        self.why = "" if abs(mean - self.period) <= ANOTHER * self.period else self._looked_at()
+
+    def _looked_at(self) -> str:
+        """By the middle interval, which lost samples and those held up do not move."""
+        intervals = [b - a for a, b in pairwise(self._stamps)]
+        near = _middle(intervals)
+        intervals = [x for x in intervals if abs(x - near) <= 0.5 * near] or [near]
+        seen = _middle(intervals)
+        scatter = _middle([abs(x - seen) for x in intervals])
+        if abs(seen - self.period) <= max(ANOTHER * self.period, SURE * ERROR * scatter / len(intervals) ** 0.5):
+            return ""
+        return (
+            f"samples come every {seen * 1e3:.3g} ms, the model was identified at steps of {self.period * 1e3:.3g} ms; set the sender's cycle "
+            "to that, or identify from recordings taken at the sender's"
+        )
+
+
+def _middle(x: list[float]) -> float:
+    return sorted(x)[len(x) // 2]

@@ -1,0 +1,68 @@
+"""How fast samples come: another cycle than the model's is said as that, and what scatters, is lost or held up is none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from monitor_arm import known_model
+from stopset.monitor.jointstate import JointState, to_json
+from stopset.monitor.pace import ANOTHER, LEAST, MOST, Pace
+from stopset.monitor.source import JointStateSource
+
+PERIOD, START = 0.01, 1.7e9
+JOINTS = known_model().joints
+
+
+def paced(stamps: list[float], period: float = PERIOD) -> list[str]:
+    """What is said after each sample of a sender of ``joint_states`` with these stamps [s]."""
+    source, pace, said = JointStateSource(JOINTS, period), Pace(period), []
+    for t in stamps:
+        source.take("", to_json(JointState(round(t * 1e9), JOINTS, (0.1,) * 6, (0.0,) * 6, (0.0,) * 6)))
+        if (sample := source.next(0.0)) is not None:
+            pace.take(sample.t)
+        said.append(pace.why)
+    return said
+
+
+@pytest.mark.parametrize("ratio", [0.25, 0.5, 0.9, 0.97, 1.03, 1.05, 1.5, 2.0, 3.0])
+def test_another_cycle_is_said_as_that(ratio: float) -> None:
+    """1.05: a logger found in the field. Whatever becomes of its samples otherwise, within two thirds of a second."""
+    said = paced([START + ratio * PERIOD * k for k in range(1000)])
+    seen, last = f"samples come every {10 * ratio:.3g} ms", 2 * LEAST if abs(ratio - 1) > 0.04 else MOST
+    assert all(why.startswith(seen) and "identified at steps of 10 ms" in why for why in said[last:]), set(said[last:])
+
+
+def test_a_sender_that_scatters_is_known_too() -> None:
+    rng = np.random.default_rng(0)
+    said = paced([START + 0.0105 * k + rng.normal(0.0, 2e-4) for k in range(2000)])
+    assert np.mean([bool(why) for why in said[MOST:]]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("scatter", "lost", "held_up"), [(0, 0, 0), (2e-4, 0.1, 0), (1e-3, 0.02, 0), (2.5e-3, 0.02, 0), (0, 0.3, 0), (0, 0, 0.2), (2e-4, 0.1, 0.1)]
+)  # fmt: skip
+def test_what_scatters_is_lost_or_held_up_is_no_other_cycle(scatter: float, lost: float, held_up: float) -> None:
+    said = 0
+    for seed in range(5):
+        rng, late, stamps = np.random.default_rng(seed), 0.0, []
+        for k in range(2000):
+            late += rng.uniform(0.0, PERIOD) if rng.random() < held_up else 0.0  # and what follows is late by as much
+            if rng.random() >= lost:
+                stamps.append(START + PERIOD * k + late + rng.normal(0.0, scatter))
+        said += sum(bool(why) for why in paced(stamps))
+    assert said <= 0.001 * 5 * 2000, said
+
+
+def test_no_pause_no_set_clock_and_no_stamp_that_is_none_is_another_cycle() -> None:
+    pace, t = Pace(PERIOD), START
+    for k in range(2000):
+        t += {500: 3600.0, 900: -0.5, 1300: -3600.0}.get(k, PERIOD)
+        pace.take(0.0 if k % 50 == 7 else t)  # a frame without a time is as old as can be
+        assert not pace.why, (k, pace.why)
+    for _ in range(MOST):
+        pace.take(math.nan)
+    assert pace.why, "and what cannot be told is not good"
+    assert Pace(PERIOD).why == "" and ANOTHER < 0.05
