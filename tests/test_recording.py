@@ -126,22 +126,6 @@ def test_a_recording_given_twice_is_no_second_motion(trials: list[Recording], tm
             campaign_of(arm(JOINTS), paths)
 
 
-def test_a_motion_copied_into_another_file_or_under_another_number_is_no_second_motion(
-    trials: list[Recording], tmp_path: Path
-) -> None:
-    moving = [r for r in trials if r.phase != "static"]
-    a = save_trials(tmp_path / "a.parquet", moving[:2], JOINTS)
-    b = save_trials(
-        tmp_path / "b.parquet", [moving[2], dataclasses.replace(moving[1], suite=7, trial=5, t=moving[1].t + 3.0)], JOINTS
-    )
-    for paths in ([a, b], save_trials(tmp_path / "c.parquet", [*moving, dataclasses.replace(moving[0], suite=9)], JOINTS)):
-        with pytest.raises(RecordingError, match=r"is the same recording as .*, number for number"):
-            read_recordings(paths)
-    with pytest.raises(RecordingError, match="number for number"):
-        list(campaign_of(arm(JOINTS), [a, b]).trials())
-    assert len(read_recordings(b)) == 2
-
-
 def test_currents_without_their_constants_are_refused_with_what_to_write(trials: list[Recording], tmp_path: Path) -> None:
     table = pa.table(columns(trials, JOINTS))
     pacsv.write_csv(

@@ -1,7 +1,7 @@
 """Recordings of a robot: the one format in, checked at the door."""
 
 from stopset.recording.reader import read_meta, read_recordings, sources_of, stream_recordings
-from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, SuiteKey, counted, distinct, suite_label
+from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, SuiteKey, counted, suite_label
 from stopset.recording.writer import write_recordings
 
 __all__ = [
@@ -12,7 +12,6 @@ __all__ = [
     "Recordings",
     "SuiteKey",
     "counted",
-    "distinct",
     "read_meta",
     "read_recordings",
     "sources_of",

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from stopset.errors import RecordingError
 from stopset.recording.csv_table import open_csv
 from stopset.recording.seen import open_seen
-from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted, distinct
+from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
 from stopset.robot import Robot
 from stopset.types import Array
 from stopset.unpacked import Allowance, TooLargeError
@@ -259,7 +259,7 @@ def stream_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | N
 
     Raises `RecordingError` with one sentence for anything that is not a sound recording.
     """
-    return counted(distinct(_stream(paths, robot)))
+    return counted(_stream(paths, robot))
 
 
 def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None) -> Iterator[Recording]:

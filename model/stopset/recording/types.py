@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.errors import RecordingError
 from stopset.types import Array
 
 SuiteKey = tuple[int, str, int]  # (file, phase, suite)
@@ -157,23 +156,6 @@ class Recordings:
     @property
     def samples(self) -> int:
         return sum(len(r.t) for r in self.trials)
-
-
-def distinct(trials: Iterable[Recording]) -> Iterator[Recording]:
-    """``trials``, each moving one once. Raises `RecordingError` for a copy: a motion that is counted twice would vouch for itself.
-
-    Poses that are held are left aside: readings in steps may well be the same.
-    """
-    seen: dict[bytes, str] = {}
-    for r in trials:
-        if r.phase != "static":
-            first = seen.setdefault(r.fingerprint, r.label)
-            if first != r.label:
-                raise RecordingError(
-                    f"{r.label} is the same recording as {first}, number for number; expected each once, as a motion that is counted "
-                    "twice would vouch for itself: leave one out"
-                )
-        yield r
 
 
 def counted(trials: Iterable[Recording]) -> Iterator[Recording]:

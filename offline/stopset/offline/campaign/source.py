@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 from stopset.errors import RecordingError
 from stopset.offline.campaign.survey import Survey, Tally, tallied
 from stopset.offline.campaign.trials import ReadOnce, Source
-from stopset.recording import Meta, Recording, distinct, read_meta, sources_of, stream_recordings
+from stopset.recording import Meta, Recording, read_meta, sources_of, stream_recordings
 from stopset.robot import Robot
 
 
@@ -55,7 +54,8 @@ def continued(earlier: Campaign, robot: Robot, paths: Sequence[str | Path], plac
     """
 
     def trials() -> Iterator[Recording]:
-        return distinct(chain(earlier.trials(), numbered_on(earlier.meta, robot, paths, places)))
+        yield from earlier.trials()
+        yield from numbered_on(earlier.meta, robot, paths, places)
 
     return Campaign(joined(earlier.meta, paths), trials)
 

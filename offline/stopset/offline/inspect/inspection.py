@@ -84,7 +84,7 @@ class _Campaign:
     def add(self, r: Recording) -> None:
         if r.phase != "static" and sum(float(x.t[-1] - x.t[0]) for x in self.heard) < low_pass.SECONDS:
             self.heard.append(r)
-        if r.phase != "static":
+        if r.phase != "static" and np.ptp(r.q) > 0.0:
             self.seen[r.fingerprint] = r.label
         self.tally.add(r)
         self.sample.add(r)
