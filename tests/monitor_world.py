@@ -221,7 +221,6 @@ class World:
             self.off_until = self.now + rng.choice([0.01, 0.3])
         elif event == "reset":
             self.resets += 1
-            self.node_bad, self.known = self.stopped, -1  # a person may have said that the drive is well
             self.order("reset", b'{"name": "A. Person", "reason": "seen"}')
         elif event == "emergency":
             self._frame_now(EMERGENCY, b"\x50\x23\x01\0\0\0\0\0")

@@ -110,6 +110,27 @@ def test_a_restarted_daemon_is_believed_when_it_answers_and_the_old_one_is_gone(
     assert c.take(message(at, 11), at + MS) is Fault.UNPROVEN, "the life before has ended"
 
 
+def test_two_monitors_of_one_data_id_are_not_believed_but_a_recorded_one_beside_is_nobody() -> None:
+    """Two arms that were given the same configuration: nobody can tell which of them an OK is of."""
+    c = proven()
+    assert c.take(message(T + MS, 400, boot_id=2, nonces=(0x99,)), T + MS) is Fault.UNPROVEN and c.state(T + MS) is State.OK
+    assert c.take(message(T + 2 * MS, 5, boot_id=2, nonces=(0x1234,)), T + 2 * MS) is Fault.UNPROVEN
+    c.take(message(T + 3 * MS, 11), T + 3 * MS)
+    assert c.state(T + 3 * MS) is State.FAULT and c.why is Fault.UNPROVEN
+    nonce = c.challenge(T + CHALLENGE_EVERY, 77)
+    assert nonce is not None
+    both, last = [(1, 12), (2, 6)], T + CHALLENGE_EVERY + 10 * MS
+    for boot, seq in both[::-1]:  # the other answers first
+        c.take(message(last, seq, boot_id=boot, nonces=(77,)), last)
+        assert c.state(last) is State.FAULT
+    for k in range(1, 200):  # it was switched off
+        at = last + 10 * k * MS
+        if c.challenge(at, 100 + k) is not None:
+            asked = 100 + k
+        c.take(message(at, 12 + k, nonces=(asked,) if k > 25 else ()), at)
+        assert (c.state(at) is State.OK) == (at - last > PROOF_LIFE), k
+
+
 def test_proof_of_life_runs_out() -> None:
     c = proven()
     for k in range(1, 150):
@@ -274,7 +295,7 @@ def test_c_and_python_agree_on_every_step(twin: ctypes.CDLL, seed: int, steps: i
         seq += rng.choice([1, 1, 1, 1, 0, 2, -1, 2**31])
         stamp = now + AHEAD + jump - rng.choice([0, MS, 40 * MS])
         data = message(
-            now, seq & 0xFFFFFFFF, key=rng.choice([KEY] * 8 + [None, Key(3, bytes(32))]), boot_id=boot, t_pub_ns=stamp,
+            now, seq & 0xFFFFFFFF, key=rng.choice([KEY] * 8 + [None, Key(3, bytes(32))]), boot_id=rng.choice([boot] * 9 + [99]), t_pub_ns=stamp,
             t_meas_ns=stamp - rng.choice([5, 20, 35]) * MS, nonces=(nonce,) if rng.random() < 0.8 else (),
             state=rng.choice([State.OK] * 5 + [State.DEGRADED, State.VIOLATION, 0x2A, 0]), data_id=rng.choice([7] * 9 + [8]),
             model_hash=rng.choice([0xAA] * 9 + [1]), config_hash=rng.choice([0xBB] * 9 + [1]),

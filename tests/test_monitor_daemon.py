@@ -224,16 +224,16 @@ def test_a_reset_of_a_violation_clears_no_emergency_behind_it(make: Callable[...
         return daemon.latch.latched, daemon.latch.record.emergencies
 
     both = {"arm_3_joint": 0x2310}
+    time.sleep(0.3)
     assert ordered() == (False, both)
-    assert ordered() == (False, both) and "stood behind" in wire.slow["event"][-1]["why"]
+    assert ordered() == (False, both) and "come to light" in wire.slow["event"][-1]["why"]
     time.sleep(0.3)
     assert ordered() == (False, {}) and source.decoder.nodes.in_force == {}
     cleared, refused, dismissed = [e for e in wire.slow["event"] if "reset" in e["kind"]]
     assert (cleared["cleared"], cleared["emergencies"], refused["kind"]) == (3, {}, "reset_refused")
     assert (dismissed["cleared"], dismissed["emergencies"]) == (0, {"arm_3_joint": "0x2310"})
     source.decoder.frame(*emergency)
-    daemon.cycle()
-    assert daemon.latch.record.emergencies == both
+    assert ordered() == (False, both), "an order that was under way when it came is not about it"
     # another bus in its place has not heard it, and is told
     opened = CanSource(Silent(), load_profile("lwa4p/monitor"), DT)
     daemon.source = NoSource(load_profile("lwa4p/monitor"), time.monotonic() + 60)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import shutil
 import signal
 import socket
 import threading
@@ -35,7 +36,9 @@ from patience import Granted, rest, wait
 from state_messages import pack
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
+from stopset.monitor.config import load_config
 from stopset.monitor.consumer import Fault
+from stopset.monitor.daemon import HIDDEN
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.journal import SLOT
 from stopset.monitor.layout import LENGTH, Flag, State, unpack
@@ -188,7 +191,7 @@ def test_an_emergency_outlives_a_restart_until_it_is_over(cell: Cell) -> None:
             monitor.kill()
         with cell.daemon() as monitor, Ear(cell.port) as ear:
             assert ear.wait(lambda: names_it(ear), 40.0), {t["why"] for t in ear.twins}
-            rest(0.5)
+            rest(HIDDEN + 0.5)
             assert not GOOD & set(ear.states), "told once, and still in force"
             ear.link.put("reset", b'{"name": "A. Person", "reason": "drive looked at"}')
             assert ear.wait(lambda: GOOD & set(ear.states[-5:])), {t["why"] for t in ear.twins}
@@ -463,6 +466,28 @@ def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, read
         assert not any(c.since(0.0) & GOOD for c in both), "recorded messages say nothing of now"
     speaker.close()
     listener.close()
+
+
+def test_two_monitors_of_one_data_id_are_believed_by_no_consumer(cell: Cell, reader: Path) -> None:
+    """A configuration that was copied to another arm's machine: the same keys, hashes and data id. Which arm is OK, nobody can tell."""
+    router = ZenohLink(PREFIX, mode="router", listen=[f"tcp/127.0.0.1:{(relay := free_port())}"])
+    text = cell.config.read_text()
+    cell.config.write_text(text.replace("listen = [", 'mode = "client"\nconnect = [').replace(str(cell.port), str(relay)))
+    copied = cell.folder / "copied"
+    copied.mkdir()
+    for name in ("arm.keys", cell.config.name):
+        shutil.copy2(cell.folder / name, copied / name)
+    assert load_config(copied / cell.config.name).sha256 == load_config(cell.config).sha256
+    with contextlib.closing(router), cell.replay(), consumers(cell, reader, router) as both, cell.daemon():
+        assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
+        with running("monitor", "--config", str(copied / cell.config.name)):
+            assert wait(all_in(both, {State.FAULT}), 40.0)
+            rest(0.5)
+            at = time.monotonic()
+            rest(1.0)
+            assert not any(c.since(at) & GOOD for c in both), [c.said[-5:] for c in both]
+            assert all(Fault.UNPROVEN in c.faults(0.0) for c in both)
+        assert wait(all_in(both, GOOD), 40.0), "it was switched off"
 
 
 def test_the_health_check_is_green_for_a_fresh_valid_message_only(cell: Cell) -> None:

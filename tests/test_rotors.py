@@ -18,7 +18,7 @@ from stopset.effects.bound import SIGMAS
 from stopset.errors import NotCovered
 from stopset.offline.identify.pipeline import identify
 from stopset.offline.nominal import identify_nominal
-from stopset.offline.nominal.rotors import inertia_std
+from stopset.offline.nominal.rotors import inertia_std, rotors_shown
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.setting import rotor_of
 from stopset.reach.stops.tube import OK
@@ -40,9 +40,10 @@ def behind_gears(recordings: Recordings) -> Recordings:
 
 
 def std_of(robot: Robot, recordings: Recordings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard errors of the inertias, the rotors found, and RMS torque."""
+    """Standard errors of the inertias, infinite where no rotor shows, the rotors found, and RMS torque."""
     found = identify_nominal(robot, recordings)
-    return inertia_std(robot, found.theta, found.covariance, found.span, found.prior), found.rotor, found.rms
+    std = inertia_std(robot, found.covariance, found.span)
+    return np.where(rotors_shown(found.theta, found.covariance, robot.n), std, np.inf), found.rotor, found.rms
 
 
 @pytest.mark.parametrize("motions", [1, 3, 8])
@@ -59,7 +60,7 @@ def test_the_stated_error_of_the_inertia_is_honest(motions: int) -> None:
             trials.append(moving(Truth(true, friction=law), k + 100 * seed, 6.0, (0.5, 0.3, 0.2)[k % 3], seed))
         described = arm(sheet=False)
         found = identify_nominal(described, Recordings(Meta(joints=JOINTS), tuple(trials)))
-        std = inertia_std(described, found.theta, found.covariance, found.span, found.prior)
+        std = inertia_std(described, found.covariance, found.span)
         q = np.random.default_rng(seed).uniform(found.span[:, 0], found.span[:, 1], (50, 3))
         off = (
             mass_matrices(true.chain, true.pi, q) + np.diag(ROTOR) - mass_matrices(true.chain, found.pi, q) - np.diag(found.rotor)
@@ -120,7 +121,7 @@ def test_torque_behind_the_gears_bounds_no_stop_without_a_data_sheet(tmp_path: P
         StopBounds.of(model)
     saved = save_model(model, tmp_path / "m.model.json")
     again = load_model(tmp_path / "m.model.json")
-    assert again.sha256 == saved.sha256 and again.inertia_std is not None and np.isinf(again.inertia_std).all()
+    assert again.sha256 == saved.sha256 and not again.rotors_shown
     # with a data sheet its rotors belong into the stop, and spoil the torque no more than if there were none
     std, found, with_sheet = std_of(arm(), data)
     assert np.all(np.isinf(std))
@@ -129,8 +130,9 @@ def test_torque_behind_the_gears_bounds_no_stop_without_a_data_sheet(tmp_path: P
     sheet = identified(arm(), data, tmp_path / "b.parquet")
     assert any("count for stops alone" in x for x in sheet.notes)
     box = rotor_of(sheet)
-    np.testing.assert_allclose(box.lo, ROTOR)
-    np.testing.assert_allclose(box.hi, ROTOR)
+    assert sheet.inertia_std is not None and np.all(sheet.inertia_std > 0.0)
+    np.testing.assert_allclose(box.centre, ROTOR)
+    np.testing.assert_allclose(box.radius, SIGMAS * sheet.inertia_std)
 
 
 def prbt_brakes(n: int):  # type: ignore[no-untyped-def]

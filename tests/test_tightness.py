@@ -82,6 +82,8 @@ def test_absurd_sets_are_named(data: Path) -> None:
     assert "never faster than" in absurd(dataclasses.replace(s, V=V), errors, survey)[0].what
     far = {j: {**row, "position_rmse": 2392.0 if j == JOINTS[1] else row["position_rmse"]} for j, row in errors.items()}
     assert "diverges" in absurd(s, far, survey)[0].what
+    (light,) = absurd(s, far, survey, geared=False)[:1]  # links without rotors leave their range, and that is no contradiction
+    assert not light.grave and "behind the gears" in light.what
     U = dataclasses.replace(s.U, lo=s.U.hi.copy())
     odd = absurd(dataclasses.replace(s, U=U), {j: {**row, "torque_rmse": 2.9} for j, row in errors.items()}, survey)
     assert len(odd) == 2 and "0 N m wide" in odd[0].what

@@ -30,6 +30,9 @@ typedef struct {
   int64_t arrived, asked, proved, lo, hi; /* lo, hi: how far the daemon's clock is ahead of this one, at `proved` */
   uint64_t nonce, boot;
   uint64_t lost, refused[16];
+  uint64_t answered; /* the nonce before */
+  int64_t beside;    /* when another living sender was heard beside the one that is believed; if have_beside */
+  int have_beside;
 } stopset_consumer;
 
 /* ---- SHA-256 (FIPS 180-4) and HMAC (RFC 2104) ---- */
@@ -134,6 +137,7 @@ static void stopset_prove(stopset_consumer *c, const stopset_state *m, int64_t n
   }
   c->boot = m->boot_id;
   c->have_boot = 1;
+  c->answered = c->nonce;
   c->proved = now;
   c->lo = lo;
   c->hi = hi;
@@ -148,14 +152,22 @@ static int stopset_refuse(stopset_consumer *c, int fault) {
 /* A message arrived; a doubtful one counts as silence. Returns the doubt, 0 if there is none. */
 static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int64_t now) {
   stopset_state m;
-  int fault, answer = 0, same_boot;
+  int fault, answer = 0, lives = 0, same_boot;
   if (!stopset_read(data, n, &m)) return stopset_refuse(c, STOPSET_FAULT_UNREADABLE);
   if ((fault = stopset_stranger(c, &m, data)) != 0) return stopset_refuse(c, fault);
-  for (unsigned i = 0; i < STOPSET_NONCES; i++) answer |= c->nonce && m.nonces[i] == c->nonce;
+  for (unsigned i = 0; i < STOPSET_NONCES; i++) {
+    answer |= c->nonce && m.nonces[i] == c->nonce;
+    lives |= c->answered && m.nonces[i] == c->answered;
+  }
   same_boot = c->have_boot && m.boot_id == c->boot;
-  /* another sender beside the one that is there, or one that has not answered */
-  if (!same_boot && ((c->have_last && now - c->arrived <= c->expect.watchdog_ns) || !answer))
+  if (!same_boot && c->have_last && now - c->arrived <= c->expect.watchdog_ns) { /* another sender beside the one that is there */
+    if (answer || lives) { /* two monitors have this data id, and one of them may watch another arm */
+      c->beside = now;
+      c->have_beside = 1;
+    }
     return stopset_refuse(c, STOPSET_FAULT_UNPROVEN);
+  }
+  if (!same_boot && !answer) return stopset_refuse(c, STOPSET_FAULT_UNPROVEN);
   if (c->have_last && m.boot_id == c->last.boot_id) {
     uint32_t step = m.seq - c->last.seq;
     if (step == 0u || step >= 0x80000000u) return stopset_refuse(c, STOPSET_FAULT_REPEATED);
@@ -180,7 +192,8 @@ static int stopset_fault(const stopset_consumer *c, int64_t now) {
     return STOPSET_FAULT_NO_MESSAGE;
   }
   if (now - c->arrived > c->expect.watchdog_ns) return STOPSET_FAULT_SILENT;
-  if (now - c->proved > STOPSET_PROOF_LIFE_NS) return STOPSET_FAULT_UNPROVEN;
+  if (now - c->proved > STOPSET_PROOF_LIFE_NS || (c->have_beside && now - c->beside <= STOPSET_PROOF_LIFE_NS))
+    return STOPSET_FAULT_UNPROVEN;
   switch (m->state) {
     case STOPSET_STATE_OK:
     case STOPSET_STATE_DEGRADED: break;

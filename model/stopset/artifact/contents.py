@@ -92,9 +92,8 @@ def _no_numbers(m: Model) -> list[str]:
     wrong = [name for name, x in numbers.items() if not bool(np.all(np.abs(x) <= LARGEST))]
     limits = {"robot.arm.q_limit": m.robot.q_limit, "robot.arm.dq_limit": m.robot.dq_limit}  # infinite where there is none
     wrong += [name for name, x in limits.items() if np.isnan(x).any()]
-    wrong += (
-        ["inertia_std"] if m.inertia_std is not None and not bool(np.all(m.inertia_std >= 0.0)) else []
-    )  # infinite: not known
+    if m.inertia_std is not None and not bool(np.all((m.inertia_std >= 0.0) & (m.inertia_std <= LARGEST))):
+        wrong.append("inertia_std")
     wrong += [f"brakes.{name}" for name in _bad_brakes(m.brakes)] if m.brakes is not None else []
     return wrong + [f"sets.{k}" for k, s in m.sets.items() if not (0.0 < s.dt <= s.horizon <= MOST_STEPS * s.dt < math.inf)]
 

@@ -168,7 +168,7 @@ class Model:
     recorded, a payload found as an effect included, and ``domain.payload`` comes on top of it; so nobody adds an effect of
     role ``plant`` again; ``rotor``: (n,) identified reflected inertia [kg m^2]; ``inertia_std``: (n,) [kg m^2] standard error of the
     inertia about each axis, rotor and links, as far as no set holds it at a stop's decelerations (0 where brakes and sets are those of
-    recorded stops); infinite where the torque shows no rotor, None in files of versions that did not say;
+    recorded stops), None in files of versions that did not say; not ``rotors_shown``: the torque is one without rotors, as behind the gears;
     ``effects``: friction and other effects with numbers; ``effort``: the kind of torque the data held
     (``compensated_torque``: it already is ``u`` of eq. (11)); ``sets`` by regime name.
     """
@@ -188,6 +188,7 @@ class Model:
     notes: tuple[str, ...] = ()
     sha256: str = ""
     inertia_std: Array | None = None
+    rotors_shown: bool = True
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -83,6 +83,8 @@ class Consumer:
     why: Fault = Fault.NO_MESSAGE
     _nonce: int = 0  # the one that waits for its answer, 0 none
     _asked: int = 0
+    _answered: int = 0  # the one before it
+    _beside: int | None = None  # when another living sender was heard beside the one that is believed
     _boot: int | None = None  # the life that has answered last
     _proved: int = 0
     _lo: int = 0  # daemon's clock minus mine, at _proved: not less than _lo, not more than _hi
@@ -105,9 +107,11 @@ class Consumer:
         if fault := self._stranger(m, data):
             return self._refuse(fault)
         alive = self.last is not None and now - self.arrived <= self.watchdog
-        if m["boot_id"] != self._boot and alive:
-            return self._refuse(Fault.UNPROVEN)  # another sender beside the one that is there
         answer = self._nonce != 0 and self._nonce in m["nonces"]
+        if m["boot_id"] != self._boot and alive:  # another sender beside the one that is there
+            if answer or (self._answered and self._answered in m["nonces"]):
+                self._beside = now  # which lives too: two monitors have this data id, and one of them may watch another arm
+            return self._refuse(Fault.UNPROVEN)
         if m["boot_id"] != self._boot and not answer:
             return self._refuse(Fault.UNPROVEN)
         if self.last is not None and m["boot_id"] == self.last["boot_id"]:
@@ -141,7 +145,8 @@ class Consumer:
             before = max(lo, self._lo - drift), min(hi, self._hi + drift)
             if before[0] <= before[1]:
                 lo, hi = before
-        self._boot, self._proved, self._lo, self._hi, self._nonce = m["boot_id"], now, lo, hi, 0
+        self._boot, self._proved, self._lo, self._hi = m["boot_id"], now, lo, hi
+        self._answered, self._nonce = self._nonce, 0
 
     def _drift(self, now: int) -> int:
         return max(0, now - self._proved) * DRIFT_PPM // 1_000_000
@@ -161,7 +166,7 @@ class Consumer:
             return Fault.UNPROVEN if self.refused else Fault.NO_MESSAGE
         if now - self.arrived > self.watchdog:
             return Fault.SILENT
-        if now - self._proved > PROOF_LIFE:
+        if now - self._proved > PROOF_LIFE or (self._beside is not None and now - self._beside <= PROOF_LIFE):
             return Fault.UNPROVEN
         if m["state"] not in tuple(State) or m["state"] == State.NEVER_SENT:
             return Fault.NO_SUCH_STATE

@@ -45,7 +45,7 @@ from stopset.monitor.watch import check_cycle
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it
 PATIENCE = 0.01  # [s] longest wait for a sample before the heartbeat goes out without one
 FALLBACK_IN_FORCE = int(Flag.FALLBACK_IN_FORCE)
-HIDDEN = 2.0  # [s] after a reset in which another says nothing of what the first has laid bare
+HIDDEN = 2.0  # [s] that an emergency must have been said, not hidden by a violation, before an order can be about it
 LATE = 3  # samples in a row that came later than they are valid for
 
 
@@ -79,7 +79,7 @@ class Daemon:
         self._use(self._prepare(model, beside.desk, beside.begun))
         self.recovery = Recovery(self.limits)
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
-        self._cleared = float("-inf")
+        self._unseen = self.clock.monotonic()  # until when nobody can have seen all emergencies
         self._remind()
         self.operators = Operators.of(config.operators)
         self.stopping = False
@@ -168,7 +168,10 @@ class Daemon:
     def _heed(self) -> None:
         """What drives say once is kept before anything else happens."""
         if (drives := drives_of(self.source)) is not None:
+            before = len(self.latch.record.emergencies)
             self.latch.hear(drives.in_force)
+            if len(drives.in_force) > before:
+                self._unseen = self.clock.monotonic()
 
     def _remind(self) -> None:
         """A source that was just opened has not heard what drives said before."""
@@ -261,10 +264,8 @@ class Daemon:
         if why := who.refused(order, Moment(self.config.data_id, p.boot, p.seq)):
             p.seldom("reset_refused", why=why)
             return
-        if emergencies and now - self._cleared < HIDDEN:
-            p.seldom(
-                "reset_refused", why="an emergency of a drive stood behind what was just cleared; look at it, and order anew"
-            )
+        if emergencies and now - self._unseen < HIDDEN:
+            p.seldom("reset_refused", why="a drive's emergency has come, or come to light, only now; look at it, and order anew")
             return
         name = who.name(order)
         p.event(
@@ -272,7 +273,7 @@ class Daemon:
             cleared=self.latch.count, joints=list(self.latch.joints),
             emergencies={joint: f"0x{code:04X}" for joint, code in emergencies.items()},
         )  # fmt: skip
-        self._cleared = now
+        self._unseen = now
         self.latch.reset(name, order.reason, now)
         if emergencies:
             self.latch.hear({})

@@ -37,16 +37,16 @@ def rotor_of(model: Model) -> Box:
     if model.inertia_std is None:
         return Box.point(identified)
     stated = np.array([d.rotor_inertia for d in model.robot.as_described.drives], float)
-    unknown = ~(np.isfinite(std) | np.isfinite(stated))
-    if unknown.any():
+    known, half = np.isfinite(stated), SIGMAS * std
+    if model.rotors_shown:
+        other = np.where(known & (std > 0.0), stated, identified)
+        return Box(np.minimum(other, np.maximum(identified - half, 0.0)), np.maximum(other, identified + half))
+    if not known.all():
         raise NotCovered(
-            f"the recorded torque shows no rotor's inertia and robot.json states none for {', '.join(np.array(model.joints)[unknown])}; "
+            f"the recorded torque shows no rotor's inertia and robot.json states none for {', '.join(np.array(model.joints)[~known])}; "
             "brakes have to stop the rotors too: state reflected_motor_inertia_kgm2 there (0 where there is none) and identify again"
         )
-    stated = np.where(np.isfinite(stated) & (std > 0.0), stated, identified)
-    lo, hi = np.maximum(identified - SIGMAS * std, 0.0), identified + SIGMAS * std
-    known = np.isfinite(std)
-    return Box(np.where(known, np.minimum(stated, lo), stated), np.where(known, np.maximum(stated, hi), stated))
+    return Box(np.maximum(stated - half, 0.0), stated + half)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +194,10 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
 def _inertia(model: Model) -> str:
     """What the inertias of a stop rest on."""
     std = model.inertia_std
+    if not model.rotors_shown:
+        return (
+            f"of the data sheet, as the torque shows none, with {SIGMAS:g} standard errors of the links' inertia about each axis"
+        )
     if std is None:
         return "all inertias taken as exact: this model does not say how well they are known"
     if np.all(std == 0.0):

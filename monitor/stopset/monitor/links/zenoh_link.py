@@ -45,8 +45,8 @@ class ZenohLink:
                 config.insert_json5("mode", json.dumps(mode))
                 config.insert_json5("scouting/multicast/enabled", "false")
                 config.insert_json5("scouting/gossip/enabled", "false")
-                # an empty list here, or a peer would listen on every interface
-                config.insert_json5("listen/endpoints", json.dumps(list(listen)))
+                # an empty list here, or a peer would listen on every interface; a client listens nowhere, whatever is asked for
+                config.insert_json5("listen/endpoints", json.dumps([] if mode == "client" else list(listen)))
             if connect:
                 config.insert_json5("connect/endpoints", json.dumps(list(connect)))
             self._session = zenoh.open(config)

@@ -27,7 +27,7 @@ from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
 from stopset.offline.nominal.preprocess import Preprocessing
-from stopset.offline.nominal.rotors import inertia_std, unseen_rotors
+from stopset.offline.nominal.rotors import inertia_std, rotors_shown, unseen_rotors
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -56,6 +56,7 @@ class NominalPart:
     taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
     friction_covariance: dict[str, dict[str, Any]] = field(default_factory=dict)  # see `Nominal.friction_covariance`
     inertia_std: Array | None = None  # (n,) see `Model`
+    rotors_shown: bool = True
     unseen: float | None = None
 
 
@@ -158,12 +159,17 @@ def _regressed(
     abstraction = Abstraction(
         1, 1, np.asarray(np.linalg.inv(inertia), float), np.maximum(damping, 0.0)[:, None], standstill=still
     )
-    std = inertia_std(cad, nominal.theta, nominal.covariance, nominal.span, nominal.prior)
-    notes = (*notes, *nominal.notes, *(f"undetermined: {u}" for u in nominal.undetermined), *unseen_rotors(cad, std))
+    seen = rotors_shown(nominal.theta, nominal.covariance, robot.n)
+    notes = (
+        *notes,
+        *nominal.notes,
+        *(f"undetermined: {u}" for u in nominal.undetermined),
+        *([] if seen else [unseen_rotors(cad)]),
+    )
     return NominalPart(
         arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, of_regression(cad, nominal, found.sample),
         limited=nominal.limited, taken_out=nominal.taken_out(), friction_covariance=nominal.friction_covariance(),
-        inertia_std=std,
+        inertia_std=inertia_std(cad, nominal.covariance, nominal.span), rotors_shown=seen,
     )  # fmt: skip
 
 

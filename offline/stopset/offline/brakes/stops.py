@@ -97,8 +97,7 @@ def _power_off(model: Model, stops: Sequence[Recording], noise: Box, notes: list
 def shown(model: Model) -> Model:
     """``model`` of which recorded stops show what its inertia is wrong by: brakes and sets identified from them hold that at a stop's own
     decelerations. Rotors that no torque showed stay unknown."""
-    std = model.inertia_std
-    return model if std is None else replace(model, inertia_std=np.where(np.isfinite(std), 0.0, std))
+    return model if model.inertia_std is None else replace(model, inertia_std=np.zeros(model.n))
 
 
 def _controlled(

@@ -54,9 +54,10 @@ def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[O
     return [Oddity(grave=2 * len(out) > n, what=x) for x in out]
 
 
-def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey) -> list[Oddity]:
-    """One for each joint and contradiction; ``errors``: joint -> RMS errors of the model."""
-    n, out = len(errors), []
+def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey, *, geared: bool = True) -> list[Oddity]:
+    """One for each joint and contradiction; ``errors``: joint -> RMS errors of the model. Not ``geared``: the torque shows no rotor, so what it
+    moves is light, and that predictions over seconds leave the arm's range is no contradiction."""
+    n, out, wide = len(errors), [], []
     fastest = np.maximum(np.abs(found.dq.lo), np.abs(found.dq.hi))
     for k, (j, row) in enumerate(errors.items()):
         wrong = max(-float(sets.V.lo[n + k]), float(sets.V.hi[n + k]))
@@ -66,10 +67,16 @@ def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found
                 f"{fastest[k]:.3g} rad/s; look at how dq is made (`stopset inspect`)"
             )
         far, span = row["position_rmse"], float(found.q.width[k])
-        if far is not None and far > RANGES * max(span, 1.0):
+        diverges = far is not None and far > RANGES * max(span, 1.0)
+        if diverges and geared:
             out.append(
                 f"open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: the model diverges; "
                 "check the torque's sign and unit, and the inertia of its drive"
+            )
+        elif diverges:
+            wide.append(
+                f"open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: torque behind the gears moves links "
+                "without their rotors, so predictions over seconds say nothing of them"
             )
         torque, width = row["torque_rmse"], float(sets.U.width[k])
         if torque is not None and width < 0.5 * torque:
@@ -77,4 +84,4 @@ def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found
                 f"the torque set of {j} is {width:.3g} N m wide where the model's torque errs by {torque:.3g} N m RMS; "
                 "its deviations sit in another set: look at the velocity signal"
             )
-    return [Oddity(grave=True, what=x) for x in out]
+    return [Oddity(grave=True, what=x) for x in out] + [Oddity(grave=False, what=x) for x in wide]

@@ -86,7 +86,7 @@ def packed(
         )
         by_band = {name: widened(s, nominal.uncertain_torque) for name, s in by_band.items()}
     tightness = tight(result.sets)
-    odd = [*silent(found, robot.joints, tightness), *absurd(result.sets, errors, found)]
+    odd = [*silent(found, robot.joints, tightness), *absurd(result.sets, errors, found, geared=nominal.rotors_shown)]
     said = (*late(found, robot.joints), *tightness.words(robot.joints), *(o.says for o in odd))
     bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
     widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}
@@ -98,7 +98,8 @@ def packed(
             "of motions not yet seen only the whole's sets promise anything"
         )
     model = Model(
-        robot=nominal.robot, rotor=nominal.rotor, inertia_std=nominal.inertia_std, effort=meta.effort, effects=nominal.effects,
+        robot=nominal.robot, rotor=nominal.rotor, inertia_std=nominal.inertia_std, rotors_shown=nominal.rotors_shown, effort=meta.effort,
+        effects=nominal.effects,
         abstraction=nominal.abstraction,
         sets={"powered": result.sets, f"powered, {result.other.conform}": result.other} | by_band, brakes=assumed_brakes(robot),
         domain=Domain(found.q, found.dq, u_hull, found.temp), guarantee=result.guarantee, errors=errors,

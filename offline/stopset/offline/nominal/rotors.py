@@ -43,9 +43,14 @@ def shown(rotor: Array, std: Array) -> NDArray[np.bool_]:
     return rotor > SIGMAS * std
 
 
-def inertia_std(robot: Robot, theta: Array, covariance: Array, span: Array, prior: Prior) -> Array:
-    """(n,) [kg m^2] standard error of ``M_ii + J_rotor,i``, the largest over poses within the recorded angles ``span`` (n, 2); infinite
-    for a joint whose rotor no data sheet stated, where no joint's torque tells a rotor from none."""
+def rotors_shown(theta: Array, covariance: Array, n: int) -> bool:
+    """Whether the torque of some joint tells its rotor from none: torque behind the gears does of none."""
+    at = np.arange(10 * n, 11 * n)
+    return bool(shown(theta[at], np.sqrt(np.diag(covariance)[at])).any())
+
+
+def inertia_std(robot: Robot, covariance: Array, span: Array) -> Array:
+    """(n,) [kg m^2] standard error of ``M_ii + J_rotor,i``, the largest over poses within the recorded angles ``span`` (n, 2)."""
     n = robot.n
     lo, hi = (np.where(np.isfinite(x), x, 0.0) for x in span.T)
     q = np.random.default_rng(0).uniform(lo, hi, (POSES, n))
@@ -59,27 +64,19 @@ def inertia_std(robot: Robot, theta: Array, covariance: Array, span: Array, prio
         at = np.r_[0 : 10 * n, 10 * n + j]
         X = np.column_stack([row, np.ones(POSES)])
         out[j] = np.sqrt(np.einsum("ka,ab,kb->k", X, covariance[np.ix_(at, at)], X).clip(min=0.0).max())
-    at = np.arange(10 * n, 11 * n)
-    if not shown(theta[at], np.sqrt(np.diag(covariance)[at])).any():
-        out[~np.array(prior.rotor_known)] = np.inf
     return out
 
 
-def unseen_rotors(robot: Robot, std: Array) -> tuple[str, ...]:
-    """What is to be told where no rotor is known from the torque; ``std``: see `inertia_std`, ``robot``: as described."""
-    unseen = ~np.isfinite(std)
-    if not unseen.any():
-        return ()
-    missing = [
-        j for j, d, open_ in zip(robot.joints, robot.drives, unseen, strict=True) if open_ and not np.isfinite(d.rotor_inertia)
-    ]
+def unseen_rotors(robot: Robot) -> str:
+    """What is to be told where no rotor is in the torque; ``robot``: as described."""
+    missing = [j for j, d in zip(robot.joints, robot.drives, strict=True) if not np.isfinite(d.rotor_inertia)]
     seen = (
         "no joint's torque shows the inertia of a rotor, as torque does that is measured behind the gears (joint torque sensors): what "
         "brakes have to stop is not in it"
     )
     if not missing:
-        return (f"{seen}; the rotors of robot.json count for stops alone",)
+        return f"{seen}; the rotors of robot.json count for stops alone"
     return (
         f"{seen}, so no stop is bounded; state reflected_motor_inertia_kgm2 of {', '.join(missing)} in robot.json (0 where there is none) and "
-        "identify again",
+        "identify again"
     )

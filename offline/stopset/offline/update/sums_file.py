@@ -124,7 +124,7 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Retained
     data = load_nominal(BytesIO(arrays["nominal"].tobytes()), model.robot.as_described) if "nominal" in arrays else None
     nominal = NominalPart(
         model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float),
-        unseen=head["unseen"], inertia_std=model.inertia_std, taken_out=tuple(model.provenance.get("taken_out", ())),
+        unseen=head["unseen"], inertia_std=model.inertia_std, rotors_shown=model.rotors_shown, taken_out=tuple(model.provenance.get("taken_out", ())),
         friction_covariance=model.provenance.get("friction_covariance", {}),
     )  # fmt: skip
     meta = meta_of(head["meta"])
