@@ -47,6 +47,13 @@ def test_the_worst_excess_is_the_one_found_by_brute_force(planar, tmp_path: Path
     assert violation.state == [f"{s}_{j}" for s in ("q", "dq") for j in JOINTS][where[2]]
 
 
+def test_a_file_given_twice_is_not_compared_twice(planar, tmp_path: Path) -> None:
+    _, trials, found = planar
+    a = save_trials(tmp_path / "a.parquet", trials[:2], JOINTS)
+    with pytest.raises(RecordingError, match="the same recording, byte for byte"):
+        compare(found.model, [a, a])
+
+
 def test_readings_that_are_none_are_not_held_against_the_model(
     planar, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,10 +12,13 @@ import pytest
 
 from nominal_cases import F_C, JOINTS, RATE, Truth, arm, campaign, moving, shaken
 from stopset.cli.main import main
+from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.diagnose import diagnose
 from stopset.offline.inspect import Inspection, inspect_recordings
 from stopset.offline.inspect.gate import check_signals
+from stopset.offline.nominal.nominal import solve_nominal
+from stopset.offline.nominal.normal_equations import accumulate
 from stopset.recording import Meta, Recording, Recordings, write_recordings
 from stopset.robot.rigid import torques
 
@@ -424,3 +427,30 @@ def test_stamps_in_milliseconds_are_seen_though_nothing_moves(tmp_path: Path, tr
     assert "slow_rate" in kinds(i, severity=("error",)), [f.says for f in i.findings]
     with pytest.raises(RecordingError, match="is t in ms"):
         check_signals(arm(), META, still)
+
+
+def test_a_motion_that_two_files_hold_is_named(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    moving = [r for r in trials if r.phase != "static"]
+    for name, some in (("a", moving[:2]), ("b", [replace(moving[1], suite=40), *moving[2:]])):
+        write_recordings(tmp_path / f"{name}.parquet", META, some)
+    a, b = inspect_recordings([tmp_path / "a.parquet", tmp_path / "b.parquet"], arm())
+    assert not a.wrong
+    (found,) = [f for f in b.findings if f.kind == "copy"]
+    assert b.wrong
+    assert "suite 40" in found.seen
+    assert "a.parquet" in found.seen
+
+
+def test_a_description_that_is_not_this_arms_is_said_as_identify_says_it(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    """The first joint's zero a right angle off: no mass explains that."""
+    write_recordings(tmp_path / "a.parquet", META, trials)
+    assert "description" not in kinds(inspect_recordings([tmp_path / "a.parquet"], arm())[0], severity=("warning", "note"))
+    turned = [replace(r, q=r.q + np.array([0.0, np.pi / 2, 0.0])) for r in trials]
+    write_recordings(tmp_path / "b.parquet", META, turned)
+    found = inspect_recordings([tmp_path / "b.parquet"], arm())[0].findings
+    (said,) = [f for f in found if f.kind == "description"]
+    (note,) = [x for x in solve_nominal(arm(), accumulate(arm(), turned, usual_friction())).notes if "CAD is contradicted" in x]
+    assert f"{said.value:.1f} times" in said.seen
+    assert f"{said.value:.1f} times" in note
+    assert said.severity == "warning"
+    assert "zeros and axes" in said.do

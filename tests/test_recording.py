@@ -186,7 +186,7 @@ def test_one_trial_at_a_time_in_memory(tmp_path: Path) -> None:
 
     def peak(count: int) -> int:
         path = tmp_path / f"{count}.parquet"
-        write_recordings(path, Meta(names(1)), (dataclasses.replace(r, trial=k) for k in range(count)))
+        write_recordings(path, Meta(names(1)), (dataclasses.replace(r, trial=k, tau=r.tau + k) for k in range(count)))
         tracemalloc.start()
         assert sum(1 for _ in stream_recordings(path)) == count
         top = tracemalloc.get_traced_memory()[1]

@@ -86,6 +86,7 @@ LEFT_OUT = (
     ("stopset.offline.campaign.settings", "HORIZON", "the default of a setting, which is hashed as chosen"),
     ("stopset.offline.inspect.*", "*", GATE),
     ("stopset.offline.nominal.fit", "ANOTHER_ARM", WORDS),
+    ("stopset.offline.nominal.fit", "NOTABLY_OFF", WORDS),
     ("stopset.offline.nominal.low_pass", "TURNS_OVER", WORDS),
     ("stopset.offline.abstraction.nominal_part", "NO_TRACE", WORDS),
     ("stopset.offline.nominal.nominal", "LOW_PASS", WORDS),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -87,6 +88,11 @@ class Recording:
     @property
     def label(self) -> str:
         return f"{self.phase} suite {self.suite} trial {self.trial}{_of_file(self.file)}"
+
+    @property
+    def fingerprint(self) -> bytes:
+        """Of its angles and torques: noise makes every recording its own, so that only a copy has the same."""
+        return hashlib.blake2b(self.q.tobytes() + self.tau.tobytes()).digest()
 
     @property
     def stop_requested(self) -> int | None:

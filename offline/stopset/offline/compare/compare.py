@@ -29,7 +29,7 @@ from stopset.progress import Progress, silent
 from stopset.reach.flowpipe import DeviationTube, deviation_tube
 from stopset.reach.nonlinear import predicted_tube
 from stopset.reach.predict import predict
-from stopset.recording import Meta, Recording, read_meta, stream_recordings
+from stopset.recording import Meta, Recording, read_meta, sources_of, stream_recordings
 from stopset.types import Array
 
 
@@ -236,8 +236,9 @@ def _stride(model: Model, trials: Source, found: Survey) -> int:
 
 
 def check_effort(model: Model, paths: Sequence[str | Path]) -> list[Meta]:
-    """What each file says of itself; refuses recordings of another kind of torque than the model was made from."""
+    """What each file says of itself; refuses one given twice, and recordings of another kind of torque than the model was made from."""
     out = [read_meta(p) for p in paths]
+    sources_of(out)
     for p, meta in zip(paths, out, strict=True):
         kinds = {meta.effort, model.effort}
         if len(kinds) > 1 and "compensated_torque" in kinds:

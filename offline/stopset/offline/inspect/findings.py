@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.inspect.tally import EVEN, LAGS, MOVING, SignalSums
+from stopset.offline.nominal.fit import ANOTHER_ARM, NOTABLY_OFF, another_arm
 from stopset.offline.nominal.low_pass import TURNS_OVER
 from stopset.recording.types import Meta
 from stopset.types import Array
@@ -373,6 +374,21 @@ def torque_smoothed(cutoff: float) -> list[Finding]:
                 f"{TURNS_OVER / cutoff:.2g} s too slowly at every reversal",
                 "torque as the drives report it", "record it unfiltered; identification passes its model through the same filter",
                 cutoff)
+    ]  # fmt: skip
+
+
+def description(off: float) -> list[Finding]:
+    """Rigid body and friction ask for a description ``off`` by so many times its tolerance; what `identify` says, too."""
+    if off <= NOTABLY_OFF:
+        return []
+    another = off >= ANOTHER_ARM
+    return [
+        Finding("description", "warning" if another else "note", None,
+                f"the torque contradicts the robot's description: its masses, centres and inertias would be {off:.1f} times as far off as "
+                "descriptions are",
+                "the description of this arm, as it is mounted, with what it carries",
+                f"look whether it is another arm's{another_arm(off)}" if another else "go on: identification believes it as much less",
+                off)
     ]  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from stopset.offline.inspect.tally import MOVING, SignalSums
 from stopset.offline.inspect.units import UnitSample, degrees
 from stopset.offline.nominal import low_pass
 from stopset.offline.nominal.delay import estimate_delay
+from stopset.offline.nominal.nominal import solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.offline.nominal.scale import torque_scales
@@ -77,11 +78,14 @@ class _Campaign:
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
     sample: UnitSample = field(default_factory=UnitSample)
+    seen: dict[bytes, str] = field(default_factory=dict)  # labels of moving trials by fingerprint
     heard: list[Recording] = field(default_factory=list)  # the first moving trials, of about a minute together
 
     def add(self, r: Recording) -> None:
         if r.phase != "static" and sum(float(x.t[-1] - x.t[0]) for x in self.heard) < low_pass.SECONDS:
             self.heard.append(r)
+        if r.phase != "static" and np.ptp(r.q) > 0.0:
+            self.seen[r.fingerprint] = r.label
         self.tally.add(r)
         self.sample.add(r)
         if self.momentum is not None:
@@ -122,14 +126,30 @@ def inspect_recordings(paths: Sequence[str | Path], robot: Robot | None = None) 
     Raises `RecordingError` for files that are no recordings at all; content that the reader refuses becomes ``refused``.
     """
     found = [_inspect(Path(p), robot) for p in paths]
-    if robot is None:
-        return [i for i, _ in found]
     names = [Path(p).name for p in paths]
-    more = contradictions(robot, names, [None if i.wrong else data for i, data in found])
-    return [replace(i, findings=(*i.findings, *extra)) for (i, _), extra in zip(found, more, strict=True)]
+    more = _copies(names, [trials for _, trials, _ in found])
+    if robot is not None:
+        disagree = contradictions(robot, names, [None if i.wrong else data for i, _, data in found])
+        more = [[*a, *b] for a, b in zip(more, disagree, strict=True)]
+    return [replace(i, findings=(*i.findings, *extra)) for (i, _, _), extra in zip(found, more, strict=True)]
 
 
-def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, NormalEquations | None]:
+def _copies(names: Sequence[str], files: Sequence[dict[bytes, str]]) -> list[list[Finding]]:
+    """Per file, its trials that an earlier one holds, number for number; ``files``: labels of their moving trials by fingerprint."""
+    out: list[list[Finding]] = [[] for _ in names]
+    for k, trials in enumerate(files):
+        for name, earlier in zip(names[:k], files[:k], strict=False):
+            same = [label for numbers, label in trials.items() if numbers in earlier]
+            if same:
+                more = f" and {len(same) - 1} more" if len(same) > 1 else ""
+                out[k].append(Finding(
+                    "copy", "error", None, f"{same[0]}{more} are in {name}, too, number for number", "each motion once",
+                    "leave one out: a motion that is counted twice would vouch for itself", float(len(same)),
+                ))  # fmt: skip
+    return out
+
+
+def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, str], NormalEquations | None]:
     meta = read_meta(path)
     joints = robot.joints if robot is not None else meta.joints
     compensated = meta.effort == "compensated_torque"
@@ -147,7 +167,7 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, NormalEquatio
         refused = " ".join(str(e).split())
     found = _findings(campaign, joints, meta, robot, data)
     missing = tuple(_missing(campaign, meta, robot))
-    return Inspection(str(path), _offers(campaign, meta, joints), missing, tuple(found), refused), data
+    return Inspection(str(path), _offers(campaign, meta, joints), missing, tuple(found), refused), campaign.seen, data
 
 
 def _findings(
@@ -194,7 +214,10 @@ def _torque(
     if out:
         return out
     least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
-    return detect.torque_delay(delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least)
+    off = 1.0 if compensated or not data.rows_moving.any() else solve_nominal(robot, data).off
+    return detect.description(off) + detect.torque_delay(
+        delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least
+    )
 
 
 def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tuple[float, float]) -> list[Finding]:

@@ -28,6 +28,7 @@ COVERED = 0.975  # by two standard errors, one-sided
 FELT = 1e-9
 RIDGE = 1e-6  # relative: moves a well-determined friction parameter by a millionth
 WIDEST_PRIOR = 30.0  # times: a CAD further off than this is another robot
+NOTABLY_OFF = 1.5  # times: a description is said to be contradicted
 ANOTHER_ARM = 8.0  # times: a real UR10e is 3.5 off its own description, 9 off a UR10's, 30 with a joint's zero a right angle off
 # by which something undescribed at the last link must lower minus twice the log evidence: 2.8 kg on a real arm lower it by 75 to 550, and
 # by 12 on a simulated one of three joints; four real arms that carried nothing by 3 at most
@@ -48,6 +49,7 @@ class Fit:
     rms_before: Array
     notes: tuple[str, ...]
     limited: tuple[str, ...]  # those of the notes that say what a limit decided
+    off: float  # times its tolerance that the description is off, at least 1
 
 
 @dataclass(slots=True)
@@ -194,18 +196,24 @@ def fit(data: NormalEquations, moving: Array, still: Array, prior: Prior, floor:
     )  # fmt: skip
     limits = ranges(layout) + passivity(layout, *_seen(data))
     theta, notes, limited = _solve(p, H, b, limits, floor, _seen(data)[0], reference)
-    if scale > 1.5:
-        another = "" if scale < ANOTHER_ARM else (
-            "; unless its masses are placeholders, look at the zeros and axes of the joints and at how the arm is mounted: what the TCP and "
-            "the links sweep in a stop is the description's"
-        )  # fmt: skip
-        notes.append(f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less{another}")
+    if scale > NOTABLY_OFF:
+        notes.append(
+            f"the CAD is contradicted: its errors are {scale:.1f} times the tolerance, so it counted for less{another_arm(scale)}"
+        )
     if weighed.loaded:
         notes.append(_carried(layout, theta, prior))
     rms: Array = np.array([np.sqrt(residual(p.moving[j], theta[p.index[j]]) / rows[j]) if rows[j] else np.nan for j in range(n)])
     return Fit(
         theta, np.asarray(np.linalg.inv(H), np.float64), np.sqrt(variance), np.sqrt(variance_still), inflation, weighed.precision, rms,
-        _before(p, prior, rows), tuple(notes), tuple(limited),
+        _before(p, prior, rows), tuple(notes), tuple(limited), scale,
+    )  # fmt: skip
+
+
+def another_arm(off: float) -> str:
+    """What to look at where a description is ``off`` by so many times its tolerance that masses hardly explain it; else nothing."""
+    return "" if off < ANOTHER_ARM else (
+        "; unless its masses are placeholders, look at the zeros and axes of the joints and at how the arm is mounted: what the TCP and "
+        "the links sweep in a stop is the description's"
     )  # fmt: skip
 
 

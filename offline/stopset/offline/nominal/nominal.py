@@ -67,6 +67,7 @@ class Nominal:
     limited: tuple[str, ...]  # those of the notes that say what a limit decided
     data: NormalEquations
     prior: Prior  # as it counted: a description that the recordings contradict counts for less
+    off: float  # times its tolerance that the description is off, at least 1
 
     @property
     def theta(self) -> Array:
@@ -286,6 +287,7 @@ def _nominal(
         limited=result.limited,
         data=data,
         prior=replace(prior, precision=result.precision),
+        off=result.off,
     )
 
 
