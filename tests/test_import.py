@@ -113,6 +113,24 @@ def test_a_bag_without_effort_is_told_so_and_one_without_speeds_has_them_derived
     assert read_recordings(out).trials[0].dq[1:-1] == pytest.approx(DQ[1:-1], abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("kind", "do"),
+    [("sensor_msgs/msg/JointState", "give --topic /joint_states"), ("std_msgs/msg/String", "record sensor_msgs/JointState")],
+)
+def test_a_bag_without_joint_states_on_the_topic_says_what_it_holds(
+    kind: str, do: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = bag(tmp_path / "a", states())
+    with sqlite3.connect(path / "bag_0.db3") as db:
+        db.execute("update topics set type = ?", (kind,))
+    assert main(["import", str(path), "--topic", "/js", "--out", str(tmp_path / "rec.parquet")]) == 2
+    assert f"0 messages on /js, and /joint_states ({kind}); expected at least 10: {do}" in capsys.readouterr().err
+    with sqlite3.connect(path / "bag_0.db3") as db:
+        db.execute("alter table topics rename column type to what")
+    assert main(["import", str(path), "--topic", "/js", "--out", str(tmp_path / "rec.parquet")]) == 2
+    assert "0 messages on /js, and no topic" in capsys.readouterr().err
+
+
 def test_a_gripper_on_the_same_topic_and_messages_sent_twice_do_not_cut_a_motion(tmp_path: Path) -> None:
     mixed = []
     for k, s in enumerate(states()):

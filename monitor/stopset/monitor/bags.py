@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
@@ -23,6 +23,7 @@ from stopset.unpacked import MESSAGE, PIECE, Allowance, TooLargeError, Unpacking
 
 BAG_SUFFIXES = frozenset({".mcap", ".db3"})
 SHORTEST = 10
+SHOWN = 80  # characters of a topic's name
 GAP = 2.5  # periods without a message that end a trial
 
 
@@ -49,15 +50,46 @@ def _parts(path: Path) -> list[Path]:
     return parts
 
 
-def _all_messages(path: Path, topic: str) -> Iterator[bytes]:
+def _unpacked_parts(path: Path) -> Iterator[Path]:
+    """The files of a bag as they were before they were packed; what was unpacked is there until the next one is asked for."""
     for part in _parts(path):
         if part.suffix != ".zstd":
-            yield from _messages(part, topic)
+            yield part
             continue
         with tempfile.TemporaryDirectory() as folder:
             whole = Path(folder) / part.name.removesuffix(".zstd")
             _unpack(part, whole)
-            yield from _messages(whole, topic)
+            yield whole
+
+
+def _all_messages(path: Path, topic: str) -> Iterator[bytes]:
+    for part in _unpacked_parts(path):
+        yield from _messages(part, topic)
+
+
+def _topics(part: Path) -> dict[str, str]:
+    """Name and type of what a readable file of a bag holds."""
+    if part.suffix.lower() != ".mcap":
+        with closing(sqlite3.connect(f"file:{part}?mode=ro", uri=True)) as db:
+            return {str(name)[:SHOWN]: str(kind)[:SHOWN] for name, kind in db.execute("select name, type from topics limit 100")}
+    from mcap.records import Channel, Schema
+
+    with part.open("rb") as f:
+        records = [r for r in mcap_records(f) if isinstance(r, (Channel, Schema))]
+    kinds = {r.id: r.name for r in records if isinstance(r, Schema)}
+    return {r.topic[:SHOWN]: kinds.get(r.schema_id, "")[:SHOWN] for r in records if isinstance(r, Channel)}
+
+
+def _too_few(path: Path, topic: str, count: int) -> RecordingError:
+    """That there are hardly joint states on a topic, and where else some are."""
+    held: dict[str, str] = {}
+    with suppress(Exception):  # its messages could be read; where its list of topics cannot, only these are told of
+        for part in _unpacked_parts(path):
+            held |= _topics(part)
+    others = sorted(name for name, kind in held.items() if kind.endswith("/JointState") and name != topic)
+    what = ", ".join(f"{name} ({kind})" for name, kind in sorted(held.items())[:4]) or "no topic"
+    do = f"give --topic {others[0]}" if others else "record sensor_msgs/JointState with the torque of the joints"
+    return RecordingError(f"{path} holds {count} messages on {topic}, and {what}; expected at least {SHORTEST}: {do}")
 
 
 def _unpack(part: Path, whole: Path) -> None:
@@ -140,7 +172,7 @@ def trials_of_bag(
         except BusError as e:
             raise RecordingError(f"{path}: {e}") from e
     if len(states) < SHORTEST:
-        raise RecordingError(f"{path} holds {len(states)} messages on {topic}; expected at least {SHORTEST}: name the --topic")
+        raise _too_few(path, topic, len(states))
     names = joints or states[0].name
     # several nodes may publish on one topic (a gripper's, say), and one may publish a message twice
     mine = [s for s in states if any(j in s.name for j in names)]
