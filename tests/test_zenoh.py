@@ -8,6 +8,7 @@ import json
 import shutil
 import sqlite3
 import subprocess
+import threading
 import time
 import urllib.request
 from dataclasses import replace
@@ -27,6 +28,7 @@ from stopset.errors import BusError
 from stopset.monitor.consumer import SAYS, Fault
 from stopset.monitor.jointstate import JointState, decode, to_cdr, to_json
 from stopset.monitor.layout import State
+from stopset.monitor.links import zenoh_link
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.orders import Orders
 from stopset.monitor.replay import JointStateSink, play
@@ -157,6 +159,25 @@ def test_two_sessions_on_loopback() -> None:
         consumer.close()
     with pytest.raises(BusError, match="no zenoh session with"):
         ZenohLink(mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+
+
+def test_a_session_that_does_not_close_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once in some hundred ends a real one did not, with a query on its way; on demand it cannot be had, so one that waits stands for it."""
+
+    class Stuck:
+        over = threading.Event()
+
+        def close(self) -> None:
+            self.over.wait()
+
+    link = ZenohLink("s")
+    link.close()  # the real one ends
+    monkeypatch.setattr(zenoh_link, "PATIENCE", 0.2)
+    link._session = Stuck()  # type: ignore[assignment]
+    began = time.monotonic()
+    link.close()
+    assert time.monotonic() - began < 5.0
+    Stuck.over.set()
 
 
 def test_a_message_longer_than_any_is_never_taken_over() -> None:

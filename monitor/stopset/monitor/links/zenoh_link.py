@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,6 +12,9 @@ from typing import Any, Protocol
 import zenoh
 
 from stopset.monitor.links.endpoints import check_endpoint, not_opened
+
+
+PATIENCE = 5.0  # [s] with a session that closes; a tenth of a second is usual
 
 
 class Alive(Protocol):
@@ -112,4 +116,8 @@ class ZenohLink:
         return [(str(r.ok.key_expr), r.ok.payload.to_bytes()) for r in replies if r.ok is not None]
 
     def close(self) -> None:
-        self._session.close()  # type: ignore[no-untyped-call]
+        """End the session. One that does not come to its end in time, as happens when a query is on its way, is left to the process's
+        end: whoever is told to end does."""
+        closing = threading.Thread(target=self._session.close, daemon=True, name="closing")
+        closing.start()
+        closing.join(PATIENCE)
