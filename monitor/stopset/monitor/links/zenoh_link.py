@@ -13,7 +13,6 @@ import zenoh
 
 from stopset.monitor.links.endpoints import check_endpoint, not_opened
 
-
 PATIENCE = 5.0  # [s] with a session that closes; a tenth of a second is usual
 
 
