@@ -46,18 +46,8 @@ ROOT = Path(__file__).resolve().parents[1]
 BOX = 0.01, 0.05  # [rad], [rad/s]
 PER_STATE, AT_LEAST, LASTS = 500, 125, 0.25  # stops of a state; fewer where they last longer than so many seconds
 EVERY = 100_000  # stops between two looks at the whole
-MORE = (
-    (2, 1),
-    (2, 2),
-    (3, 1),
-    (3, 2),
-    (4, 1),
-    (4, 2),
-    (5, 1),
-    (5, 2),
-    (6, 3),
-    (7, 3),
-)  # random arms beside those of `arms`: 20 in all
+# random arms beside those of `arms`, 20 in all; (2, 1) and (2, 3) have upright axes alone, so brakes that hold nothing
+MORE = (2, 2), (2, 4), (3, 1), (3, 2), (4, 1), (4, 2), (5, 1), (5, 2), (6, 3), (7, 3)
 PAYLOADS = ("0", "rated", "between")
 
 
