@@ -44,6 +44,7 @@ class Samples(NamedTuple):
     time: Array
     tcp: float
     excess: float  # largest distance outside the tube, in widths of nothing: [rad] or [rad/s], 0 if none
+    farthest: Farthest
 
 
 def tube_at(tube: Tube, times: Array) -> tuple[Array, Array, Array, Array]:
@@ -229,7 +230,7 @@ def sample_stops(
         done, time = done + len(x), np.maximum(time, found.time.max(axis=0))
         escaped, excess = escaped + int((found.beyond > 0.0).sum()), max(excess, float(found.beyond.max()))
     far = farthest.score
-    return Samples(done, escaped, far[:n], far[n : 2 * n], time, float(far[-1]), excess)
+    return Samples(done, escaped, far[:n], far[n : 2 * n], time, float(far[-1]), excess, farthest)
 
 
 class Tightness(NamedTuple):

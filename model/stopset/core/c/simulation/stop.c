@@ -249,7 +249,8 @@ static int accepted(Stops *x, int l, SimFriction *f) {
 }
 
 /* Positions and velocities at the end of the step, in the lanes that take it. */
-UNROLLED void move(int n, Stops *x, Choice taken) {
+UNROLLED void move(int n, Stops *x, int lanes) {
+    const Choice taken = IN_LANES(lanes);
     for (int i = 0; i < n; i++) {
         const Four q = x->q[i] + 0.5 * x->h * (x->v[i] + x->w[i]), rate = (x->w[i] - x->v[i]) / x->h;
         x->q[i] = CHOSEN(taken, q, x->q[i]);
@@ -257,7 +258,7 @@ UNROLLED void move(int n, Stops *x, Choice taken) {
         x->v[i] = CHOSEN(taken, x->w[i], x->v[i]);
     }
 }
-STOPSET_WIDE static void take_step(Stops *x, int lanes) { move(x->stops->arm.n, x, IN_LANES(lanes)); }
+STOPSET_WIDE static void take_step(Stops *x, int lanes) { move(x->stops->arm.n, x, lanes); }
 
 int stopset_sim_stops(const StopsetSimStops *s, const double *q0, const double *v0, const StopsetSimTime *time, double *qs, double *vs) {
     const int n = s->arm.n;
