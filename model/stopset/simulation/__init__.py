@@ -1,6 +1,7 @@
 """The simulated arm: full nonlinear dynamics with dry friction and brakes as sets, and the campaigns measured on it.
 
-`simulate_stop` is the compiled stop that bounds are tested on, `simulate_stops` several of them; `prepare` gives a measuring campaign with effects hidden.
+`simulate_stop` is the compiled stop that bounds are tested on, `simulate_stops` several of them; `prepare` gives a measuring campaign with
+effects hidden.
 """
 
 from stopset.simulation.campaign import PLANS, Schedule

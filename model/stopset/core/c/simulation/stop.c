@@ -271,14 +271,14 @@ int stopset_sim_stops(const StopsetSimStops *s, const double *q0, const double *
     x.h = FOUR_OF(time->dt);
     for (int l = 0; l < LANES; l++) begin(&x, l);
     for (;;) {
-        int taken = 0, under_way = 0;
+        int taken = 0, active = 0;
         try_step(&x);
         for (int l = 0; l < LANES; l++) {
             if (x.lane[l].stop < 0) continue;
-            under_way = 1;
+            active = 1;
             if (accepted(&x, l, &f)) taken |= 1 << l;
         }
-        if (!under_way) break;
+        if (!active) break;
         take_step(&x, taken);
         for (int l = 0; l < LANES; l++)
             if (taken >> l & 1) go_on(&x, l);
