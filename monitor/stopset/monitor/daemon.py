@@ -368,8 +368,7 @@ class Daemon:
                 self._say_lost(words)
             try:
                 while (source := reopen()) is None:
-                    self._say_lost(words)
-                    if self.stopping:
+                    if self._say_lost(words):
                         return
                 self.source = resumed(source, self.source)
                 self._remind()
@@ -382,14 +381,15 @@ class Daemon:
             except Exception as e:  # noqa: BLE001 - whatever a driver raises, the next try may do better
                 words = f"the bus cannot be opened ({type(e).__name__}: {e})"
 
-    def _say_lost(self, words: str) -> None:
-        """One turn without a bus."""
+    def _say_lost(self, words: str) -> bool:
+        """One turn without a bus; whether it was the last."""
         self._fault, now = words, self.clock.monotonic()
         self._obey(now)
         turn = self._situation()
         self._send(turn)
         self._slow_messages(now, turn)
         self.clock.sleep(PATIENCE)
+        return self.stopping
 
     def close(self) -> None:
         """Say SHUTDOWN, release everything."""
