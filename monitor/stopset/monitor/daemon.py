@@ -232,7 +232,7 @@ class Daemon:
         stale = since > self.config.publish.stale_ms * 1e-3
         situation = Situation(
             s is not None, self._fault, stale, self._late_in_a_row >= LATE, self.latch.record.why, age, since, s, self.verdict,
-            fresh, numbers, self.pace.doubt,
+            fresh, numbers, self.pace.fault,
         )  # fmt: skip
         state, flags, why = decide(situation, self.limits)
         state, held, why = self.recovery.hold(state, why, now, ahead)

@@ -129,20 +129,20 @@ class Latch:
         if emergencies != self.record.emergencies:
             self.record.emergencies = dict(emergencies)
             if self._journal is not None:
-                self._journal.write(self._kept())
+                self._journal.write(self._stored())
 
     def save(self, now: float) -> None:
         """Put what is known on disk."""
         if self._journal is not None:
             self._saved_at, self._saved = now, self.record.count
-            self._journal.write(self._kept())
+            self._journal.write(self._stored())
 
-    def _kept(self) -> Record:
+    def _stored(self) -> Record:
         """The record, without the last entries if a slot has no room for so many: what comes later, an emergency, must not be refused."""
-        kept = self.record
-        while kept.entries and not has_room(kept):
-            kept = replace(kept, entries=kept.entries[:-1])
-        return kept
+        stored = self.record
+        while stored.entries and not has_room(stored):
+            stored = replace(stored, entries=stored.entries[:-1])
+        return stored
 
     def keep(self, now: float) -> str:
         """Save a count that has grown, or what the disk has refused; returns the disk's complaint, empty if none."""
@@ -187,7 +187,7 @@ class Latch:
         """Save the last count."""
         if self._journal is not None:
             if self.record.count != self._saved or self._journal.trouble:
-                self._journal.write(self._kept())
+                self._journal.write(self._stored())
             self._journal.close()
 
 

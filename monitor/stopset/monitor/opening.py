@@ -16,16 +16,16 @@ class Opening:
 
     begin: Callable[[], SampleSource]
     _answers: queue.SimpleQueue[SampleSource | Exception] = field(default_factory=queue.SimpleQueue)
-    _under_way: bool = False
+    _opening: bool = False
 
     def turn(self) -> SampleSource | None:
         """Ask for a source, unless that was done; it, or what was raised, once it is there; None before."""
-        if not self._under_way:
-            self._under_way = True
+        if not self._opening:
+            self._opening = True
             threading.Thread(target=self._work, daemon=True, name="opening").start()
         if self._answers.empty():
             return None
-        self._under_way, answer = False, self._answers.get_nowait()
+        self._opening, answer = False, self._answers.get_nowait()
         if isinstance(answer, Exception):
             raise answer
         return answer

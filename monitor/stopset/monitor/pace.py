@@ -27,7 +27,7 @@ class Pace:
     _stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST + 1))
 
     @property
-    def doubt(self) -> str:
+    def fault(self) -> str:
         """``why``, and before enough samples have come to tell, that."""
         return NOT_YET if len(self._stamps) <= LEAST else self.why
 
