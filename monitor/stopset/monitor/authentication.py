@@ -29,8 +29,7 @@ class KeyFileError(StopsetError):
     """The key file cannot be used: mend it."""
 
 
-def _own_sha256() -> Callable[[bytes], Any]:
-    """The interpreter's SHA-256, where it has one: its states lie in Python's pools. OpenSSL's takes memory of the system for every message."""
+def _best_sha256() -> Callable[[bytes], Any]:
     for name in ("_sha2", "_sha256"):  # since Python 3.12, and before
         if find_spec(name):
             own: Callable[[bytes], Any] = import_module(name).sha256
@@ -38,7 +37,12 @@ def _own_sha256() -> Callable[[bytes], Any]:
     return hashlib.sha256
 
 
-_SHA256 = _own_sha256()
+_SHA256 = _best_sha256()
+
+
+def _sha256(data: bytes = b"") -> Any:
+    """The interpreter's own, where it has one: its states lie in Python's pools. OpenSSL's takes memory of the system for every message."""
+    return _SHA256(data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +54,7 @@ class Key:
     _begun: hmac.HMAC = field(init=False, compare=False)  # has taken the secret in, once for all messages
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_begun", hmac.new(self.secret, digestmod=lambda data=b"": _SHA256(data)))
+        object.__setattr__(self, "_begun", hmac.new(self.secret, digestmod=_sha256))
 
     def code(self, data: bytes | bytearray | memoryview) -> bytes:
         """The authentication code of ``data``."""
