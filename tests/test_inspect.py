@@ -181,6 +181,37 @@ def test_wrong_sign_of_torque(tmp_path: Path, trials: tuple[Recording, ...], rob
     assert i.wrong
 
 
+def circling(turned: tuple[int, ...] = ()) -> Recording:
+    """Shoulder and elbow out of phase: gravity puts energy in at the one and takes it out at the other in every round."""
+    robot, truth = arm(), Truth(arm())
+    t = np.arange(0.0, 24.0, 1 / RATE)
+    phase, w = np.array([0.3, 0.0, -2.5]), 2 * np.pi / 4
+    amplitude = np.array([0.4, 0.5, 0.7])
+    q = amplitude * np.sin(w * t[:, None] + phase)
+    dq, ddq = amplitude * w * np.cos(w * t[:, None] + phase), -(w**2) * q
+    tau = torques(robot.chain, robot.pi, q, dq, ddq) + 0.05 * truth.friction(dq, q)
+    tau += 0.02 * np.random.default_rng(3).normal(size=tau.shape)
+    tau[:, list(turned)] *= -1
+    return Recording("closed_loop", 0, 0, 0, t, q, dq, tau)
+
+
+@pytest.mark.parametrize("robot", [True, False], ids=["against the model", "alone"])
+def test_a_joint_that_gravity_takes_energy_from_has_no_wrong_sign(tmp_path: Path, robot: bool) -> None:
+    r = circling()
+    power = (r.tau * r.dq).sum(axis=0) / np.abs(r.tau * r.dq).sum(axis=0)
+    assert power.min() < -0.5, power  # as a real KUKA LWR's third joint: -98 %
+    assert "wrong_sign" not in kinds(look(tmp_path, [r], robot=robot))
+    for turned in ((1,), (2,)):
+        found = look(tmp_path, [circling(turned)], robot=robot).findings
+        assert [f.joint for f in found if f.kind == "wrong_sign"] == [JOINTS[j] for j in turned]
+
+
+def test_torque_of_the_other_sign_at_all_joints_is_told_of_all(tmp_path: Path) -> None:
+    found = [f for f in look(tmp_path, [circling((0, 1, 2))], robot=False).findings if f.kind == "wrong_sign"]
+    assert [f.joint for f in found] == list(JOINTS)
+    assert all("of all joints" in f.do for f in found)
+
+
 @pytest.mark.parametrize(
     ("factor", "word"), [(1000.0, "mN m"), (0.01, "gear ratio"), (0.001, "kN m")], ids=["mN m", "motor side", "kN m"]
 )

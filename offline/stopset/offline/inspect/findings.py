@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from stopset.offline.inspect.tally import EVEN, LAGS, MOVING, SignalSums
 from stopset.offline.nominal.fit import ANOTHER_ARM, NOTABLY_OFF, another_arm
@@ -39,6 +40,8 @@ SAME = 3  # trials in which a signal stops at the very same value below its larg
 SLOW = 1 / 60  # [s] of a period: the filters of identification need ten samples per period of 6 Hz
 TOO_SLOW = 0.5  # [s] between samples: nothing of a motion is left
 OFF_RATE = 0.01  # relative: rates further off than this are told
+FEWEST_TURNS = 4  # reversals of a joint from which on their scatter is known at all
+TURNED = 3.5  # standard deviations below zero: by chance in one of 4000 joints whose sign is right and that have no friction
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
 
@@ -283,8 +286,29 @@ def _derived(t: SignalSums, joints: Sequence[str], meta: Meta, period: float) ->
     ]  # fmt: skip
 
 
-def torque_power(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
-    """Wrong sign of torque, from energy alone: over a campaign friction takes energy in, it never gives any."""
+def torque_sign(t: SignalSums, joints: Sequence[str], *, compensated: bool) -> list[Finding]:
+    """Wrong sign of torque, from friction alone: against a joint that turns round, or ``compensated`` for that, in what it takes in."""
+    return _by_power(t, joints) if compensated else _by_reversals(t, joints)
+
+
+def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
+    """Each joint by its own steps; where these together say it of the arm, every joint whose torque steps down."""
+    told = np.flatnonzero(_moved(t) & (t.turns[0] >= FEWEST_TURNS))
+    count, total, squares = t.turns[:, told]
+    step = total / count
+    error = np.sqrt(np.maximum(squares / count - step**2, 0.0) / (count - 1))
+    sure = stats.norm.ppf(np.clip(stats.t.cdf(step / np.maximum(error, 1e-9), count - 1), 1e-12, 1 - 1e-12))
+    together = len(told) > 1 and float(sure.sum()) < -TURNED * np.sqrt(len(told)) and int((step < 0).sum()) * 2 > len(told)
+    do = "turn the sign of tau, of all joints as it seems" if together else "turn the sign of tau (or of q and dq)"
+    return [
+        Finding("wrong_sign", "error", joints[int(told[k])],
+                f"at {int(count[k])} reversals the torque steps by {2 * step[k]:.3g} +- {2 * error[k]:.2g} N m along the new direction",
+                "a step up, as friction makes it", do, float(step[k]))
+        for k in np.flatnonzero((step < 0) if together else sure < -TURNED)
+    ]  # fmt: skip
+
+
+def _by_power(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     out = []
     net, gross = t.power
     moved = _moved(t)

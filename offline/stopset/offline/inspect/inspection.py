@@ -181,7 +181,7 @@ def _findings(
     out = [*clock, *speeds, *detect.readings(t, joints), *detect.saturation(t, joints)]
     if t.trials == 0:
         return out
-    sign = detect.torque_power(t, joints)
+    sign = detect.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
     if robot is not None:
         out += detect.torque_limits(t, joints, robot.torque_limit)
     if robot is None or data is None:
