@@ -115,6 +115,11 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
                     t.settling)
         )  # fmt: skip
+    out += [
+        Finding(kind, "warning", None, f"in the {which} {seconds * 1e3:.3g} ms of a trial dq contradicts q", "dq = dq/dt throughout",
+                "a filter's own start or end is no motion: that part is left out by every command", seconds)
+        for kind, which, seconds in (("start_transient", "first", t.bent[0]), ("end_transient", "last", t.bent[1])) if seconds
+    ]  # fmt: skip
     if period > TOO_SLOW:
         out.append(
             Finding("slow_rate", "error", None, f"samples lie {period:.3g} s apart", f"at most {TOO_SLOW:.3g} s",

@@ -53,6 +53,7 @@ class SignalSums:
     jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample, between steps that it does
     rounded: float = 0.0  # [s] what stamps were printed to, where that is a good part of the period
     settling: float = 0.0  # [s] at a trial's start during which dq does not follow q yet, at most
+    bent: tuple[float, float] = (0.0, 0.0)  # [s] that the reader left out at a trial's ends, at most
     jitter: list[float] = field(default_factory=list)  # per trial: spread of the period, relative
     period: list[float] = field(default_factory=list)  # per trial: the usual one
     mean_period: list[float] = field(default_factory=list)  # per trial of at least `LONG`: on average, gaps left out
@@ -109,6 +110,7 @@ class SignalSums:
     def _clock(self, r: Recording) -> float:
         dt = np.diff(r.t)
         self.rounded = max(self.rounded, r.rounded)
+        self.bent = (max(self.bent[0], r.bent[0]), max(self.bent[1], r.bent[1]))
         h = float(np.median(dt))
         gap, paused = dt > GAP * h, dt >= max(PAUSE, GAP * h)
         lost = gap & ~paused
