@@ -14,9 +14,11 @@ from nominal_cases import F_C, JOINTS, RATE, Truth, arm, campaign, moving, shake
 from stopset.cli.main import main
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.offline.inspect import Inspection, inspect_recordings
 from stopset.offline.inspect.gate import check_signals
+from stopset.offline.inspect.mounting import mounting
 from stopset.offline.nominal.nominal import solve_nominal
 from stopset.offline.nominal.normal_equations import accumulate
 from stopset.recording import Meta, Recording, Recordings, write_recordings
@@ -212,6 +214,29 @@ def test_torque_of_the_other_sign_at_all_joints_is_told_of_all(tmp_path: Path) -
     assert all("of all joints" in f.do for f in found)
 
 
+@pytest.mark.parametrize("gravity", [(9.81, 0.0, 0.0), (0.0, 0.0, 9.81), (0.0, -6.9, -6.9)], ids=["wall", "ceiling", "ramp"])
+def test_an_arm_that_is_mounted_otherwise_is_told_so(tmp_path: Path, gravity: tuple[float, float, float]) -> None:
+    """As a real AR5 on a wall beside its URDF on the floor: a model of that was identified, with a note on its masses."""
+    true = replace(arm(1.05, 0.003), chain=arm().chain._replace(gravity=np.array(gravity)))
+    r = moving(Truth(true), 0, 30.0, 1.2, seed=2)
+    found = look(tmp_path, [r]).findings
+    (f,) = (f for f in found if f.severity == "error")
+    assert f.kind == "mounting"
+    said = np.array(json.loads(f.do[f.do.index("[") : f.do.index("]") + 1]))
+    cos = said @ np.array(gravity) / np.linalg.norm(said) / np.linalg.norm(gravity)
+    assert np.degrees(np.arccos(min(cos, 1.0))) < 3.0
+    model = tmp_path / "m.json"
+    (tmp_path / "robot.urdf").write_text(arm().urdf)
+    ask = ["identify", "--robot", str(tmp_path / "robot.urdf"), "--data", str(tmp_path / "rec.parquet"), "--out", str(model)]
+    assert main(ask) == 2 and not model.exists()
+    (tmp_path / "robot.json").write_text(json.dumps({"gravity": list(said)}))
+    robot = load_robot(tmp_path / "robot.urdf")
+    assert mounting(robot, [r]) is None
+    sound = moving(Truth(arm(1.05, 0.003)), 0, 30.0, 1.2, seed=2)
+    for other in (arm(), arm(0.7, 0.02)):
+        assert mounting(other, [sound]) is None, "a description that is off is no other mounting"
+
+
 @pytest.mark.parametrize(
     ("factor", "word"), [(1000.0, "mN m"), (0.01, "gear ratio"), (0.001, "kN m")], ids=["mN m", "motor side", "kN m"]
 )
@@ -299,8 +324,6 @@ def test_command_answers_and_exit_codes(
 
 @pytest.mark.shared
 def test_shared_recordings_are_sound(shared_data: Callable[[str], Path]) -> None:
-    from stopset.offline.description import load_robot
-
     for name in ("hidden_effect/d06", "hidden_effect/p05", "hidden_effect/p01"):
         folder = shared_data(name)
         (i,) = inspect_recordings([folder / "recording.parquet"], load_robot(folder / "robot.urdf"))

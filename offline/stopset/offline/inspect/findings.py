@@ -308,7 +308,7 @@ def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     return [
         Finding("wrong_sign", "error", joints[int(told[k])],
                 f"at {int(count[k])} reversals the torque steps by {2 * step[k]:.3g} +- {2 * error[k]:.2g} N m along the new direction",
-                "a step up, as friction makes it", do, float(step[k]))
+                "a step up, as friction makes it in torque and motion of one clock", do, float(step[k]))
         for k in np.flatnonzero((step < 0) if together else sure < -TURNED)
     ]  # fmt: skip
 
@@ -403,6 +403,21 @@ def torque_smoothed(cutoff: float) -> list[Finding]:
                 f"{TURNS_OVER / cutoff:.2g} s too slowly at every reversal",
                 "torque as the drives report it", "record it unfiltered; identification passes its model through the same filter",
                 cutoff)
+    ]  # fmt: skip
+
+
+def mounted(gravity: Array, angle: float, described: Array) -> list[Finding]:
+    """The arm hangs or stands otherwise than described: ``gravity`` [m/s^2] (3,) that its torque asks for, ``angle`` [rad] from the ``described``."""
+
+    def numbers(x: Array) -> str:
+        return ", ".join(f"{v:.3g}" for v in np.round(x, 2) + 0.0)
+
+    return [
+        Finding("mounting", "error", None,
+                f"the torque is that of an arm with gravity along [{numbers(gravity)}] m/s^2 in its base frame, {np.degrees(angle):.0f} degrees "
+                "from the description's",
+                f"gravity as described, [{numbers(described)}]",
+                f'if the arm is mounted so, say "gravity": [{numbers(gravity)}] in robot.json; else look at zeros and axes of the joints', angle)
     ]  # fmt: skip
 
 
