@@ -41,7 +41,7 @@ def mounting(robot: Robot, trials: Sequence[Recording]) -> Mounting | None:
     size = float(np.linalg.norm(described))
     if not parts or size == 0.0:
         return None
-    theirs, scaled = _left(parts, described[:, None])
+    theirs, _ = _left(parts, described[:, None])
     ours, asked = _left(parts, np.eye(3))
     found = float(np.linalg.norm(asked))
     if not STRENGTH[0] * size < found < STRENGTH[1] * size:
