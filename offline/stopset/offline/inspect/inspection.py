@@ -214,7 +214,9 @@ def _torque(
     if torn or any(f.severity == "error" for f in against) or (sign and compensated):
         return out
     delay = estimate_delay(data, prior_of(robot))
-    if delay.beyond and not compensated:  # torque that belongs to another moment seems turned, and what else is said of it is none of it
+    if (
+        delay.beyond and not compensated
+    ):  # torque that belongs to another moment seems turned, and what else is said of it is none of it
         return detect.torque_beyond(delay.beyond)
     if out:
         return out

@@ -89,7 +89,9 @@ def _left(parts: Sequence[tuple[Array, Array]], directions: Array) -> tuple[Arra
         A = sum(w * (X @ directions).T @ (X @ directions) for w, (X, _) in zip(weight, parts, strict=True))
         b = sum(w * (X @ directions).T @ y for w, (X, y) in zip(weight, parts, strict=True))
         strength = np.linalg.lstsq(np.asarray(A), np.asarray(b), rcond=1e-9)[0]
-        gravity = directions @ (strength if len(strength) > 1 else np.maximum(strength, 0.0))  # what is described does not pull upwards
+        gravity = directions @ (
+            strength if len(strength) > 1 else np.maximum(strength, 0.0)
+        )  # what is described does not pull upwards
         left = np.maximum([float(np.sqrt(np.mean((y - X @ gravity) ** 2))) for X, y in parts], 1e-9)
         weight = left**-2
     return left, gravity

@@ -104,8 +104,8 @@ class SignalSums:
         power = np.where(moving, r.tau * r.dq, 0.0)
         self.power += np.array([power.sum(axis=0), np.abs(power).sum(axis=0)])
         if r.phase in ("closed_loop", "open_loop"):
-            for j, step in steps(r):
-                self.turns[:, j] += 1.0, step, step**2
+            for j, rise in steps(r):
+                self.turns[:, j] += np.array([1.0, rise, rise**2])
 
     def _clock(self, r: Recording) -> float:
         dt = np.diff(r.t)
