@@ -39,9 +39,9 @@ def _contradiction(r: Recording) -> Array:
     k = max(2, round(SLOPE / float(np.median(np.diff(r.t)))))
     left = np.clip(np.arange(len(r.t)) - k, 0, None)
     right = np.clip(np.arange(len(r.t)) + k, None, len(r.t) - 1)
-    way = np.zeros_like(r.q)
-    np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=way[1:])
-    off = np.abs((r.q - way)[right] - (r.q - way)[left]) / (r.t[right] - r.t[left])[:, None]
+    travel = np.zeros_like(r.q)
+    np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=travel[1:])
+    off = np.abs((r.q - travel)[right] - (r.q - travel)[left]) / (r.t[right] - r.t[left])[:, None]
     middle = (r.t > r.t[0] + EDGE) & (r.t < r.t[-1] - EDGE)
     least = np.maximum(OFF * np.abs(r.dq).max(axis=0), USUAL * np.percentile(off[middle], 99, axis=0))
     return np.asarray((off / np.maximum(least, 1e-9)).max(axis=1))

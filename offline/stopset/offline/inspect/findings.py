@@ -109,17 +109,7 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     "stamps finer than a tenth of the period",
                     "they lie on an even clock within that, which is what is used; print more digits", t.rounded)
         )  # fmt: skip
-    if t.settling:
-        out.append(
-            Finding("start_transient", "warning", None, f"dq does not follow q in the first {t.settling * 1e3:.3g} ms of a trial",
-                    "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
-                    t.settling)
-        )  # fmt: skip
-    out += [
-        Finding(kind, "warning", None, f"in the {which} {seconds * 1e3:.3g} ms of a trial dq contradicts q", "dq = dq/dt throughout",
-                "a filter's own start or end is no motion: that part is left out by every command", seconds)
-        for kind, which, seconds in (("start_transient", "first", t.bent[0]), ("end_transient", "last", t.bent[1])) if seconds
-    ]  # fmt: skip
+    out += _ends(t)
     if period > TOO_SLOW:
         out.append(
             Finding("slow_rate", "error", None, f"samples lie {period:.3g} s apart", f"at most {TOO_SLOW:.3g} s",
@@ -138,6 +128,22 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     "jitter and lost samples can only be seen in the motion itself")
         )  # fmt: skip
     return out
+
+
+def _ends(t: SignalSums) -> list[Finding]:
+    """Where trials begin or end in what a filter made of them."""
+    out = []
+    if t.settling:
+        out.append(
+            Finding("start_transient", "warning", None, f"dq does not follow q in the first {t.settling * 1e3:.3g} ms of a trial",
+                    "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
+                    t.settling)
+        )  # fmt: skip
+    return out + [
+        Finding(kind, "warning", None, f"in the {which} {seconds * 1e3:.3g} ms of a trial dq contradicts q", "dq = dq/dt throughout",
+                "a filter's own start or end is no motion: that part is left out by every command", seconds)
+        for kind, which, seconds in (("start_transient", "first", t.bent[0]), ("end_transient", "last", t.bent[1])) if seconds
+    ]  # fmt: skip
 
 
 def _rate(t: SignalSums, meta: Meta) -> list[Finding]:
@@ -298,15 +304,15 @@ def torque_sign(t: SignalSums, joints: Sequence[str], *, compensated: bool) -> l
 
 def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     """Each joint by its own steps; where these together say it of the arm, every joint whose torque steps down."""
-    told = np.flatnonzero(_moved(t) & (t.turns[0] >= FEWEST_TURNS))
-    count, total, squares = t.turns[:, told]
+    judged = np.flatnonzero(_moved(t) & (t.turns[0] >= FEWEST_TURNS))
+    count, total, squares = t.turns[:, judged]
     step = total / count
     error = np.sqrt(np.maximum(squares / count - step**2, 0.0) / (count - 1))
     sure = stats.norm.ppf(np.clip(stats.t.cdf(step / np.maximum(error, 1e-9), count - 1), 1e-12, 1 - 1e-12))
-    together = len(told) > 1 and float(sure.sum()) < -TURNED * np.sqrt(len(told)) and int((step < 0).sum()) * 2 > len(told)
+    together = len(judged) > 1 and float(sure.sum()) < -TURNED * np.sqrt(len(judged)) and int((step < 0).sum()) * 2 > len(judged)
     do = "turn the sign of tau, of all joints as it seems" if together else "turn the sign of tau (or of q and dq)"
     return [
-        Finding("wrong_sign", "error", joints[int(told[k])],
+        Finding("wrong_sign", "error", joints[int(judged[k])],
                 f"at {int(count[k])} reversals the torque steps by {2 * step[k]:.3g} +- {2 * error[k]:.2g} N m along the new direction",
                 "a step up, as friction makes it in torque and motion of one clock", do, float(step[k]))
         for k in np.flatnonzero((step < 0) if together else sure < -TURNED)
