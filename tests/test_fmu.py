@@ -293,7 +293,9 @@ def test_a_measurement_outside_names_the_joint_and_stays(exported: Any) -> None:
     assert not np.any(out["conformant"][21:])
 
 
-@pytest.mark.parametrize(("kind", "unconnected"), [("CoSimulation", 0), ("CoSimulation", 1), ("CoSimulation", 7), ("ModelExchange", 0)])
+@pytest.mark.parametrize(
+    ("kind", "unconnected"), [("CoSimulation", 0), ("CoSimulation", 1), ("CoSimulation", 7), ("ModelExchange", 0)]
+)
 def test_who_connects_a_measured_state_needs_no_start(exported: Any, kind: str, unconnected: int) -> None:
     """The prediction begins at the first sample, wherever `q_start` is; an importer that connects late gives zeros until then."""
     model = arm_model()

@@ -237,7 +237,11 @@ def _conditions(m: Model) -> list[Variable]:
         what_then = "SS1-t: power is taken so long after the request whatever happens; negative: never"
         failing.append(Variable("ss1_off_after", "SS1_OFF_AFTER", "Real", "parameter", "s", what_then, after, "tunable"))
     return [
-        *_joints(m, _real("q_start", "parameter", "rad", "position at the start, unless one is measured, {}", "fixed"), start_posture(m)),
+        *_joints(
+            m,
+            _real("q_start", "parameter", "rad", "position at the start, unless one is measured, {}", "fixed"),
+            start_posture(m),
+        ),
         *_joints(m, _real("dq_start", "parameter", "rad/s", "velocity at the start, unless one is measured, {}", "fixed"), 0.0),
         Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "tunable", lo=0.0),
         *com,
