@@ -308,3 +308,15 @@ def test_c_and_python_agree_on_every_step(twin: ctypes.CDLL, seed: int, steps: i
         assert twin.take(data, len(data), arrived) == c.take(data, arrived)
         look = arrived + rng.choice([0, 10 * MS, 60 * MS])
         assert (twin.state(look), twin.why(), twin.lost()) == (c.state(look), c.why, c.lost)
+
+
+def test_who_speaks_otherwise_than_is_expected_is_told_as_that() -> None:
+    """A monitor whose configuration was edited beneath it: "no answer to my challenge", or silence, sent nobody to the right place."""
+    c = Consumer(EXPECTED, WATCHDOG)
+    c.take(message(T, 1, config_hash=1), T)
+    assert c.state(T) is State.FAULT and c.why is Fault.OTHER_CONFIG
+    assert c.state(T + 51 * MS) is State.FAULT and c.why is Fault.NO_MESSAGE
+    c = proven()
+    c.take(message(T + 60 * MS, 11, model_hash=1), T + 60 * MS)
+    assert c.state(T + 61 * MS) is State.FAULT and c.why is Fault.OTHER_MODEL
+    assert c.state(T + 120 * MS) is State.FAULT and c.why is Fault.SILENT
