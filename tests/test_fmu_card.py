@@ -56,9 +56,13 @@ def test_the_card_names_domain_assumptions_and_kinds_of_stop() -> None:
     assert set(setting.assumptions) <= set(page.texts) and any(x.startswith("brakes (") for x in page.texts)
     for kind in ("1", "1 guaranteed", "2"):
         assert set(ramp_assumptions(ramp, kind)) <= set(page.texts)
-    assert {"A STOP 0:", "A STOP 1 whose ramp may fail:", "-3 to 3", "15 to 55", "Payload 0 to 2 kg on top of what the model's last link holds."} <= set(
-        page.texts
-    )
+    assert {
+        "A STOP 0:",
+        "A STOP 1 whose ramp may fail:",
+        "-3 to 3",
+        "15 to 55",
+        "Payload 0 to 2 kg on top of what the model's last link holds.",
+    } <= set(page.texts)
 
 
 def test_the_card_says_why_no_stop_is_bounded_and_takes_a_name_for_a_name() -> None:
