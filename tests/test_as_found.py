@@ -20,6 +20,7 @@ from stopset.effects import get
 from stopset.errors import RecordingError, RobotError
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
+from stopset.offline.campaign.reading_error import reading_residual
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import left_over
@@ -272,6 +273,37 @@ def test_a_filter_that_settles_is_no_lost_sample(tmp_path: Path, motion: Recordi
     i = inspect_recordings([path])[0]
     assert {f.kind for f in i.findings if f.severity == "error"} == set(), [f.says for f in i.findings]
     assert "start_transient" in {f.kind for f in i.findings}
+
+
+def bent(r: Recording) -> Recording:
+    """As who filters forwards and backwards leaves it: positions come to rest at the end of a recording, speeds and torque go on."""
+    h = float(r.t[1] - r.t[0])
+    k = np.arange(-round(0.5 / h), round(0.5 / h) + 1) * h
+    w = np.exp(-0.5 * (k / 0.12) ** 2)
+    held = np.pad(r.q, ((0, len(k) // 2), (0, 0)), mode="edge")
+    smooth = np.column_stack([np.convolve(x, w / w.sum(), "same") for x in held.T])[: len(r.q)]
+    q = np.where((r.t > r.t[-1] - 0.5)[:, None], smooth, r.q)
+    return replace(r, q=q)
+
+
+def test_ends_that_a_filter_bent_are_left_out(tmp_path: Path, motion: Recording) -> None:
+    rng = np.random.default_rng(2)
+    whole = motion.cut(0, len(motion.t) * 3 // 4)  # ends in full swing
+    whole = replace(whole, dq=whole.dq + 0.01 * rng.normal(size=whole.dq.shape))
+    path = tmp_path / "rec.parquet"
+    write_recordings(path, META, [whole])
+    assert read_recordings(path).trials[0].bent == (0.0, 0.0)
+    write_recordings(path, META, [bent(whole)])
+    (r,) = read_recordings(path).trials
+    assert r.bent[0] == 0.0 and 0.2 < r.bent[1] < 0.8 and r.t[-1] == pytest.approx(whole.t[-1] - r.bent[1])
+    i = inspect_recordings([path])[0]
+    assert "end_transient" in {f.kind for f in i.findings} and not i.wrong
+    seen = [np.max(reading_residual(x.q, x.dq, 0.008).reach[3:]) for x in (bent(whole), r, whole)]
+    assert seen[0] > 3 * seen[1], "a bent end would be the error of every reading"
+    assert seen[1] <= 1.1 * seen[2]
+    stopped = replace(bent(whole), phase="stop1")
+    write_recordings(path, META, [stopped])
+    assert read_recordings(path).trials[0].bent == (0.0, 0.0)
 
 
 def test_held_poses_alone_are_told_so(tmp_path: Path, motion: Recording) -> None:

@@ -14,9 +14,11 @@ from nominal_cases import F_C, JOINTS, RATE, Truth, arm, campaign, moving, shake
 from stopset.cli.main import main
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
+from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.offline.inspect import Inspection, inspect_recordings
 from stopset.offline.inspect.gate import check_signals
+from stopset.offline.inspect.mounting import mounting
 from stopset.offline.nominal.nominal import solve_nominal
 from stopset.offline.nominal.normal_equations import accumulate
 from stopset.recording import Meta, Recording, Recordings, write_recordings
@@ -181,6 +183,60 @@ def test_wrong_sign_of_torque(tmp_path: Path, trials: tuple[Recording, ...], rob
     assert i.wrong
 
 
+def circling(turned: tuple[int, ...] = ()) -> Recording:
+    """Shoulder and elbow out of phase: gravity puts energy in at the one and takes it out at the other in every round."""
+    robot, truth = arm(), Truth(arm())
+    t = np.arange(0.0, 24.0, 1 / RATE)
+    phase, w = np.array([0.3, 0.0, -2.5]), 2 * np.pi / 4
+    amplitude = np.array([0.4, 0.5, 0.7])
+    q = amplitude * np.sin(w * t[:, None] + phase)
+    dq, ddq = amplitude * w * np.cos(w * t[:, None] + phase), -(w**2) * q
+    tau = torques(robot.chain, robot.pi, q, dq, ddq) + 0.05 * truth.friction(dq, q)
+    tau += 0.02 * np.random.default_rng(3).normal(size=tau.shape)
+    tau[:, list(turned)] *= -1
+    return Recording("closed_loop", 0, 0, 0, t, q, dq, tau)
+
+
+@pytest.mark.parametrize("robot", [True, False], ids=["against the model", "alone"])
+def test_a_joint_that_gravity_takes_energy_from_has_no_wrong_sign(tmp_path: Path, robot: bool) -> None:
+    r = circling()
+    power = (r.tau * r.dq).sum(axis=0) / np.abs(r.tau * r.dq).sum(axis=0)
+    assert power.min() < -0.5, power  # as a real KUKA LWR's third joint: -98 %
+    assert "wrong_sign" not in kinds(look(tmp_path, [r], robot=robot))
+    for turned in ((1,), (2,)):
+        found = look(tmp_path, [circling(turned)], robot=robot).findings
+        assert [f.joint for f in found if f.kind == "wrong_sign"] == [JOINTS[j] for j in turned]
+
+
+def test_torque_of_the_other_sign_at_all_joints_is_told_of_all(tmp_path: Path) -> None:
+    found = [f for f in look(tmp_path, [circling((0, 1, 2))], robot=False).findings if f.kind == "wrong_sign"]
+    assert [f.joint for f in found] == list(JOINTS)
+    assert all("of all joints" in f.do for f in found)
+
+
+@pytest.mark.parametrize("gravity", [(9.81, 0.0, 0.0), (0.0, 0.0, 9.81), (0.0, -6.9, -6.9)], ids=["wall", "ceiling", "ramp"])
+def test_an_arm_that_is_mounted_otherwise_is_told_so(tmp_path: Path, gravity: tuple[float, float, float]) -> None:
+    """As a real AR5 on a wall beside its URDF on the floor: a model of that was identified, with a note on its masses."""
+    true = replace(arm(1.05, 0.003), chain=arm().chain._replace(gravity=np.array(gravity)))
+    r = moving(Truth(true), 0, 30.0, 1.2, seed=2)
+    found = look(tmp_path, [r]).findings
+    (f,) = (f for f in found if f.severity == "error")
+    assert f.kind == "mounting"
+    said = np.array(json.loads(f.do[f.do.index("[") : f.do.index("]") + 1]))
+    cos = said @ np.array(gravity) / np.linalg.norm(said) / np.linalg.norm(gravity)
+    assert np.degrees(np.arccos(min(cos, 1.0))) < 3.0
+    model = tmp_path / "m.json"
+    (tmp_path / "robot.urdf").write_text(arm().urdf)
+    ask = ["identify", "--robot", str(tmp_path / "robot.urdf"), "--data", str(tmp_path / "rec.parquet"), "--out", str(model)]
+    assert main(ask) == 2 and not model.exists()
+    (tmp_path / "robot.json").write_text(json.dumps({"gravity": list(said)}))
+    robot = load_robot(tmp_path / "robot.urdf")
+    assert mounting(robot, [r]) is None
+    sound = moving(Truth(arm(1.05, 0.003)), 0, 30.0, 1.2, seed=2)
+    for other in (arm(), arm(0.7, 0.02)):
+        assert mounting(other, [sound]) is None, "a description that is off is no other mounting"
+
+
 @pytest.mark.parametrize(
     ("factor", "word"), [(1000.0, "mN m"), (0.01, "gear ratio"), (0.001, "kN m")], ids=["mN m", "motor side", "kN m"]
 )
@@ -268,8 +324,6 @@ def test_command_answers_and_exit_codes(
 
 @pytest.mark.shared
 def test_shared_recordings_are_sound(shared_data: Callable[[str], Path]) -> None:
-    from stopset.offline.description import load_robot
-
     for name in ("hidden_effect/d06", "hidden_effect/p05", "hidden_effect/p01"):
         folder = shared_data(name)
         (i,) = inspect_recordings([folder / "recording.parquet"], load_robot(folder / "robot.urdf"))

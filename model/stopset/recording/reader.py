@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from stopset.errors import RecordingError
 from stopset.recording.csv_table import open_csv
+from stopset.recording.ends import sound_part
 from stopset.recording.seen import open_seen
 from stopset.recording.types import EFFORTS, PHASES, Meta, Recording, Recordings, counted
 from stopset.robot import Robot
@@ -280,7 +281,7 @@ def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None) -> It
             seen.add(key)
             r = replace(_trial(path, key, place, columns, joints, meta), file=number)
             _check_trial(path, r, joints, robot)
-            yield r
+            yield sound_part(r)
             place += 1
         if not seen:
             raise RecordingError(f"{path} has no rows; expected at least one trial: record it again")

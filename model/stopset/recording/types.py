@@ -63,6 +63,7 @@ class Recording:
     file: int = 0  # which of the files read together it comes from
     condition: str = ""  # what the arm carried, which day it was: recordings of different conditions are not fitted as one
     rounded: float = 0.0  # [s] what its stamps were printed to, where they were put back on the even clock they came from
+    bent: tuple[float, float] = (0.0, 0.0)  # [s] left out at its beginning and end, where speeds contradict positions
     repetition: int = UNCOUNTED
     begun: int = UNCOUNTED
 

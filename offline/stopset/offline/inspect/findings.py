@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from stopset.offline.inspect.tally import EVEN, LAGS, MOVING, SignalSums
 from stopset.offline.nominal.fit import ANOTHER_ARM, NOTABLY_OFF, another_arm
@@ -39,6 +40,8 @@ SAME = 3  # trials in which a signal stops at the very same value below its larg
 SLOW = 1 / 60  # [s] of a period: the filters of identification need ten samples per period of 6 Hz
 TOO_SLOW = 0.5  # [s] between samples: nothing of a motion is left
 OFF_RATE = 0.01  # relative: rates further off than this are told
+FEWEST_TURNS = 4  # reversals of a joint from which on their scatter is known at all
+TURNED = 3.5  # standard deviations below zero: by chance in one of 4000 joints whose sign is right and that have no friction
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
 
@@ -106,12 +109,7 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     "stamps finer than a tenth of the period",
                     "they lie on an even clock within that, which is what is used; print more digits", t.rounded)
         )  # fmt: skip
-    if t.settling:
-        out.append(
-            Finding("start_transient", "warning", None, f"dq does not follow q in the first {t.settling * 1e3:.3g} ms of a trial",
-                    "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
-                    t.settling)
-        )  # fmt: skip
+    out += _ends(t)
     if period > TOO_SLOW:
         out.append(
             Finding("slow_rate", "error", None, f"samples lie {period:.3g} s apart", f"at most {TOO_SLOW:.3g} s",
@@ -130,6 +128,22 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     "jitter and lost samples can only be seen in the motion itself")
         )  # fmt: skip
     return out
+
+
+def _ends(t: SignalSums) -> list[Finding]:
+    """Where trials begin or end in what a filter made of them."""
+    out = []
+    if t.settling:
+        out.append(
+            Finding("start_transient", "warning", None, f"dq does not follow q in the first {t.settling * 1e3:.3g} ms of a trial",
+                    "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
+                    t.settling)
+        )  # fmt: skip
+    return out + [
+        Finding(kind, "warning", None, f"in the {which} {seconds * 1e3:.3g} ms of a trial dq contradicts q", "dq = dq/dt throughout",
+                "a filter's own start or end is no motion: that part is left out by every command", seconds)
+        for kind, which, seconds in (("start_transient", "first", t.bent[0]), ("end_transient", "last", t.bent[1])) if seconds
+    ]  # fmt: skip
 
 
 def _rate(t: SignalSums, meta: Meta) -> list[Finding]:
@@ -283,8 +297,29 @@ def _derived(t: SignalSums, joints: Sequence[str], meta: Meta, period: float) ->
     ]  # fmt: skip
 
 
-def torque_power(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
-    """Wrong sign of torque, from energy alone: over a campaign friction takes energy in, it never gives any."""
+def torque_sign(t: SignalSums, joints: Sequence[str], *, compensated: bool) -> list[Finding]:
+    """Wrong sign of torque, from friction alone: against a joint that turns round, or ``compensated`` for that, in what it takes in."""
+    return _by_power(t, joints) if compensated else _by_reversals(t, joints)
+
+
+def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
+    """Each joint by its own steps; where these together say it of the arm, every joint whose torque steps down."""
+    judged = np.flatnonzero(_moved(t) & (t.turns[0] >= FEWEST_TURNS))
+    count, total, squares = t.turns[:, judged]
+    step = total / count
+    error = np.sqrt(np.maximum(squares / count - step**2, 0.0) / (count - 1))
+    sure = stats.norm.ppf(np.clip(stats.t.cdf(step / np.maximum(error, 1e-9), count - 1), 1e-12, 1 - 1e-12))
+    together = len(judged) > 1 and float(sure.sum()) < -TURNED * np.sqrt(len(judged)) and int((step < 0).sum()) * 2 > len(judged)
+    do = "turn the sign of tau, of all joints as it seems" if together else "turn the sign of tau (or of q and dq)"
+    return [
+        Finding("wrong_sign", "error", joints[int(judged[k])],
+                f"at {int(count[k])} reversals the torque steps by {2 * step[k]:.3g} +- {2 * error[k]:.2g} N m along the new direction",
+                "a step up, as friction makes it in torque and motion of one clock", do, float(step[k]))
+        for k in np.flatnonzero((step < 0) if together else sure < -TURNED)
+    ]  # fmt: skip
+
+
+def _by_power(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     out = []
     net, gross = t.power
     moved = _moved(t)
@@ -374,6 +409,21 @@ def torque_smoothed(cutoff: float) -> list[Finding]:
                 f"{TURNS_OVER / cutoff:.2g} s too slowly at every reversal",
                 "torque as the drives report it", "record it unfiltered; identification passes its model through the same filter",
                 cutoff)
+    ]  # fmt: skip
+
+
+def mounted(gravity: Array, angle: float, described: Array) -> list[Finding]:
+    """The arm hangs or stands otherwise than described: ``gravity`` [m/s^2] (3,) that its torque asks for, ``angle`` [rad] from the ``described``."""
+
+    def numbers(x: Array) -> str:
+        return ", ".join(f"{v:.3g}" for v in np.round(x, 2) + 0.0)
+
+    return [
+        Finding("mounting", "error", None,
+                f"the torque is that of an arm with gravity along [{numbers(gravity)}] m/s^2 in its base frame, {np.degrees(angle):.0f} degrees "
+                "from the description's",
+                f"gravity as described, [{numbers(described)}]",
+                f'if the arm is mounted so, say "gravity": [{numbers(gravity)}] in robot.json; else look at zeros and axes of the joints', angle)
     ]  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from stopset.offline.inspect.findings import (
     RIGHT_TORN,
     Finding,
     clock,
+    mounted,
     readings,
     saturation,
     torque_beyond,
@@ -24,6 +25,7 @@ from stopset.offline.inspect.findings import (
 )
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
+from stopset.offline.inspect.mounting import mounting
 from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
@@ -58,6 +60,8 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
             momentum.add(r)
         _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
         _refuse(beyond)
+    elif (hangs := mounting(robot, some)) is not None:
+        _refuse(mounted(hangs.gravity, hangs.angle, robot.chain.gravity))
     return _in_words(found)
 
 

@@ -16,6 +16,7 @@ from stopset.offline.inspect import findings as detect
 from stopset.offline.inspect.contradiction import contradictions
 from stopset.offline.inspect.findings import Finding
 from stopset.offline.inspect.inertia import Momentum
+from stopset.offline.inspect.mounting import mounting
 from stopset.offline.inspect.needs import Inventory, Need, needs
 from stopset.offline.inspect.tally import MOVING, SignalSums
 from stopset.offline.inspect.units import UnitSample, degrees
@@ -181,7 +182,7 @@ def _findings(
     out = [*clock, *speeds, *detect.readings(t, joints), *detect.saturation(t, joints)]
     if t.trials == 0:
         return out
-    sign = detect.torque_power(t, joints)
+    sign = detect.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
     if robot is not None:
         out += detect.torque_limits(t, joints, robot.torque_limit)
     if robot is None or data is None:
@@ -192,7 +193,11 @@ def _findings(
         # made-up stamps tear accelerations apart: what rests on them would be one more wrong claim
         torn = any(f.severity == "error" for f in clock)
         scales = torque_scales(robot, data) if campaign.momentum is None else campaign.momentum.scales()
-        out += _torque(robot, data, scales, meta, sign, torn=torn)
+        hangs = None if torn or sign or meta.effort == "compensated_torque" else mounting(robot, campaign.heard)
+        if hangs is not None:  # whatever else the rigid body would say rests on gravity
+            out += detect.mounted(hangs.gravity, hangs.angle, robot.chain.gravity)
+        else:
+            out += _torque(robot, data, scales, meta, sign, torn=torn)
         if meta.effort != "compensated_torque" and not torn:
             out += detect.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
@@ -206,10 +211,12 @@ def _torque(
     against = against_model(robot, meta, *scales, detect.RIGHT_TORN if torn or compensated else detect.RIGHT)
     blamed = {f.joint for f in against}
     out = [*against, *(f for f in sign if f.joint not in blamed)]
-    if torn or any(f.severity == "error" for f in out):
+    if torn or any(f.severity == "error" for f in against) or (sign and compensated):
         return out
     delay = estimate_delay(data, prior_of(robot))
-    if delay.beyond and not compensated:  # what else is said of torque that belongs to another moment is none of it
+    if (
+        delay.beyond and not compensated
+    ):  # torque that belongs to another moment seems turned, and what else is said of it is none of it
         return detect.torque_beyond(delay.beyond)
     if out:
         return out

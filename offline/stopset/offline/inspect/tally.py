@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.offline.inspect.reversals import steps
 from stopset.recording.reader import PAUSE
 from stopset.recording.types import Recording
 from stopset.types import Array
@@ -52,6 +53,7 @@ class SignalSums:
     jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample, between steps that it does
     rounded: float = 0.0  # [s] what stamps were printed to, where that is a good part of the period
     settling: float = 0.0  # [s] at a trial's start during which dq does not follow q yet, at most
+    bent: tuple[float, float] = (0.0, 0.0)  # [s] that the reader left out at a trial's ends, at most
     jitter: list[float] = field(default_factory=list)  # per trial: spread of the period, relative
     period: list[float] = field(default_factory=list)  # per trial: the usual one
     mean_period: list[float] = field(default_factory=list)  # per trial of at least `LONG`: on average, gaps left out
@@ -61,6 +63,7 @@ class SignalSums:
     speed2: Array = field(init=False)
     difference: Array = field(init=False)  # (3, n) squared difference of dq to backward, central, forward difference
     power: Array = field(init=False)  # (2, n) sums of tau dq and |tau dq| in motion
+    turns: Array = field(init=False)  # (3, n) reversals, and sums of the torque's steps there and of their squares
     resolution: Array = field(init=False)  # smallest step of q
     range_q: Array = field(init=False)  # (n, 2)
     range_dq: Array = field(init=False)
@@ -72,7 +75,7 @@ class SignalSums:
 
     def __post_init__(self) -> None:
         n = self.n
-        self.travel, self.difference, self.power = np.zeros((3, n)), np.zeros((3, n)), np.zeros((2, n))
+        self.travel, self.difference, self.power, self.turns = (np.zeros((k, n)) for k in (3, 3, 2, 3))
         self.lagged, self.speed2 = np.zeros((2 * LAGS + 1, n)), np.zeros(n)
         self.resolution, self.acceleration, self.slow = np.full(n, np.inf), np.zeros(n), np.zeros(n)
         for name in ("range_q", "range_dq", "range_tau", "range_temp"):
@@ -100,10 +103,14 @@ class SignalSums:
         moving = np.abs(r.dq) > MOVING
         power = np.where(moving, r.tau * r.dq, 0.0)
         self.power += np.array([power.sum(axis=0), np.abs(power).sum(axis=0)])
+        if r.phase in ("closed_loop", "open_loop"):
+            for j, rise in steps(r):
+                self.turns[:, j] += np.array([1.0, rise, rise**2])
 
     def _clock(self, r: Recording) -> float:
         dt = np.diff(r.t)
         self.rounded = max(self.rounded, r.rounded)
+        self.bent = (max(self.bent[0], r.bent[0]), max(self.bent[1], r.bent[1]))
         h = float(np.median(dt))
         gap, paused = dt > GAP * h, dt >= max(PAUSE, GAP * h)
         lost = gap & ~paused
