@@ -515,6 +515,32 @@ def rewritten(fmu: Path, to: Path, change: Callable[[str, bytes], bytes | None])
                 new.writestr(name, text)
 
 
+def test_a_unit_whose_run_ends_is_no_defect_of_the_check(
+    exported: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table whose time stands still, a description without a variable, one without the kind that is run."""
+    fmu, other = exported(arm_model(2, effort="motor_torque"), "ends", 3), tmp_path / "ends.fmu"
+
+    def standing(name: str, text: bytes) -> bytes:
+        rows = text.split(b"\n")
+        return b"\n".join([*rows[:2], rows[1], *rows[3:]]) if name.endswith("_ref.csv") else text
+
+    def renamed(name: str, text: bytes) -> bytes:
+        return text.replace(b'name="tau_axis_1"', b'name="tau_axis_9"') if name == "modelDescription.xml" else text
+
+    def without(name: str, text: bytes) -> bytes:
+        return text.replace(b"<CoSimulation", b"<Simulation") if name == "modelDescription.xml" else text
+
+    for change, says in ((standing, "FMICallException"), (renamed, "KeyError 'tau_axis_1'")):
+        rewritten(fmu, other, change)
+        assert main(["check-fmu", str(other)]) == 1
+        said = capsys.readouterr().out
+        assert f"its run ended: {says}" in said and "is not the file of the export" in said and "do not use it" in said
+    rewritten(fmu, other, without)
+    assert main(["check-fmu", str(other)]) == 2
+    assert "offers no co-simulation" in capsys.readouterr().err
+
+
 def test_a_library_that_is_not_the_export_s_is_not_run(exported: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Half a library ends the process that loads it; nor is one run before the key that must have signed it is known to have."""
     fmu, other = exported(arm_model(2, effort="motor_torque"), "half", 3), tmp_path / "half.fmu"

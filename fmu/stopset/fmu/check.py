@@ -8,7 +8,7 @@ import io
 import tempfile
 import time
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -59,9 +59,45 @@ def check_fmu(path: str | Path, *, trusted: bool = True) -> FmuCheck:
     Nothing of it is run where a library is not that of the export (a damaged one may end the process), nor unless ``trusted``.
     Raises `OutputError` for a file that is no such unit, holds none, or has no library for this machine.
     """
-    import fmpy  # heavy
+    from fmpy import extract, platform_tuple  # heavy
+    from fmpy.fmi1 import FMICallException
+    from fmpy.validation import validate_fmu
 
     here = native()
+    description, names, changed, tables = _read(path)
+    if not tables["in"] or not tables["ref"]:
+        raise OutputError(f"{path} holds no reference results; expected a unit of stopset export-fmu: export it with them")
+    if here is None or not _runs_here(names):
+        raise OutputError(
+            f"{path} has no library for this machine ({here or platform_tuple}); expected one: export it with --platform, or build "
+            "its sources into it"
+        )
+    problems = (*changed.values(), *(str(p) for p in validate_fmu(str(path))))
+    nothing = FmuCheck(description.fmiVersion, here, problems, 0, {}, 0, 0, 0.0)
+    if not trusted or any(n.split("/")[0] == "binaries" for n in changed):
+        return nothing
+    try:
+        with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as folder:
+            extract(str(path), folder)
+            rows, differences, step = _run(description, folder, tables["in"], tables["ref"])
+            stops, equal = _stops(description, folder, tables["stops"]) if tables["stops"] else (0, 0)
+    except (
+        FMICallException,
+        LookupError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
+        OSError,
+    ) as e:  # by another description, other tables
+        ended = f"its run ended: {_line(e)}; expected one to the last row of its reference results: export the unit again"
+        return replace(nothing, problems=(*problems, ended))
+    return FmuCheck(description.fmiVersion, here, problems, rows, differences, stops, equal, step)
+
+
+def _read(path: str | Path) -> tuple[Any, list[str], dict[str, str], dict[str, dict[str, Array]]]:
+    """Description, names of files, what is wrong with which of them, tables by their ends."""
+    import fmpy  # heavy
+
     try:
         check_zip(Path(path))
         description = fmpy.read_model_description(str(path), validate=False)
@@ -74,24 +110,14 @@ def check_fmu(path: str | Path, *, trusted: bool = True) -> FmuCheck:
     except OSError as e:
         raise OutputError(f"{path}: {e.strerror or e}; expected an FMU that can be read: name another file") from e
     except Exception as e:
-        raise OutputError(
-            f"{path}: {' '.join(str(e).split())[:200]}; expected an FMU of stopset export-fmu: export it again"
-        ) from e
-    if not tables["in"] or not tables["ref"]:
-        raise OutputError(f"{path} holds no reference results; expected a unit of stopset export-fmu: export it with them")
-    if here is None or not _runs_here(names):
-        raise OutputError(
-            f"{path} has no library for this machine ({here or fmpy.platform_tuple}); expected one: export it with --platform, or build "
-            "its sources into it"
-        )
-    problems = (*changed.values(), *(str(p) for p in fmpy.validation.validate_fmu(str(path))))
-    if not trusted or any(n.split("/")[0] == "binaries" for n in changed):
-        return FmuCheck(description.fmiVersion, here, problems, 0, {}, 0, 0, 0.0)
-    with tempfile.TemporaryDirectory(prefix="stopset-fmu-") as folder:
-        fmpy.extract(str(path), folder)
-        rows, differences, step = _run(description, folder, tables["in"], tables["ref"])
-        stops, equal = _stops(description, folder, tables["stops"]) if tables["stops"] else (0, 0)
-    return FmuCheck(description.fmiVersion, here, problems, rows, differences, stops, equal, step)
+        raise OutputError(f"{path} cannot be read ({_line(e)}); expected an FMU of stopset export-fmu: export it again") from e
+    if description.coSimulation is None:
+        raise OutputError(f"{path} offers no co-simulation; expected an FMU of stopset export-fmu: export it again")
+    return description, names, changed, tables
+
+
+def _line(e: Exception) -> str:
+    return f"{type(e).__name__} {' '.join(str(e).split())}"[:200]
 
 
 def _runs_here(names: list[str]) -> bool:

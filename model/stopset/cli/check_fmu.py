@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         equal = f"{c.equal} of {c.stops} states equal to the last bit" if c.stops else "this model has none"
         lines += [f"stop bounds: {equal}", f"a step takes {1e6 * c.step:.0f} us of CPU time here (with fmpy's call)"]
     else:
-        lines.append("nothing of it was run, as it is not what was exported or signed")
+        lines.append("nothing of it was run to its end, as it is not what was exported or signed")
     lines.append(signed)
     lines.append(
         f"The unit is {'what' if good else 'NOT what'} it was where it was exported{'.' if good else ': do not use it.'}"
