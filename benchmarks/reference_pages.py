@@ -60,7 +60,8 @@ API = (
     "stopset.artifact.save_model", "stopset.offline.compare.compare.compare", "stopset.offline.compare.verdict.verdict",
     "stopset.offline.diagnose.diagnose_model", "stopset.offline.revise.revise.add", "stopset.reach.stops.stop",
     "stopset.reach.stops.StopBounds", "stopset.offline.stops.table.stop_table", "stopset.offline.plan.design", "stopset.fmu.export",
-    "stopset.simulation.simulate_stop", "stopset.offline.notebook.columns", "stopset.offline.notebook.frame", "stopset.offline.notebook.plot",
+    "stopset.simulation.simulate_stop", "stopset.simulation.simulate_stops",
+    "stopset.offline.notebook.columns", "stopset.offline.notebook.frame", "stopset.offline.notebook.plot",
     "stopset.offline.compare.mcap_file.save_mcap",
 )  # fmt: skip
 

@@ -1,11 +1,12 @@
 """What limits the tight certificate on an arm with strong coupling: shares of states that one tube closes, with each interval in turn
 replaced by its middle.
 
-    python benchmarks/stops_limits.py [--states 60] [--arm NAME [--share 0.3]] [--far]
+    python benchmarks/stops_limits.py [--states 60] [--arm NAME [--share 0.3]] [--far | --cuts]
 
 UR5-like arm with a quarter of the rotor inertia, 4.75 to 5 kg, random states up to 2 rad/s; or an arm of `stop_arms_wide` with its
 rated payload, up to a share of its full speed.  ``--far``: instead how far the tubes with the kinetic energy go, median angle over the
-worst of 60 sampled stops of the same intervals, and over the tubes as stated; brakes cut together too.
+worst of 60 sampled stops of the same intervals, and over the tubes as stated; brakes cut together too.  ``--cuts``: how far they go
+over the tube as stated where each interval of the brakes in turn, or the most harmful ones, are cut and every piece is bounded.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from stop_sampling import sample_stops
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.setting import Setting
+from stopset.reach.stops.split import halves, harm_of
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, Stride, march
 from stopset.reach.stops.tubes import ENERGY_KNOTS, KNOTS, Knots, expected_stop, march_box, tubes_of
@@ -96,12 +98,55 @@ def how_far(s: Setting, case: Case, states: Callable[[], list[tuple[Array, Array
     return np.array(far), np.array(worst)
 
 
+def farthest(s: Setting, plants: list[Plant], start: Start) -> Array:
+    """(n,) [rad]: how far the energy's tubes of these plants go together; infinite where one does not come to rest."""
+    tubes = [march_box(s, p, start, energetic=True) for p in plants]
+    return np.max(
+        [np.maximum(t.d_hi.max(axis=0), -t.d_lo.min(axis=0)) if t.end == OK else np.full(s.model.n, np.inf) for t in tubes],
+        axis=0,
+    )
+
+
+def in_two(plant: Plant, name: str, joint: int) -> list[Plant]:
+    """The plant with one joint's interval cut in its middle."""
+    lo, hi = getattr(plant, f"{name}_lo").copy(), getattr(plant, f"{name}_hi").copy()
+    below, above = hi.copy(), lo.copy()
+    below[joint] = above[joint] = 0.5 * (lo[joint] + hi[joint])
+    return [plant._replace(**{f"{name}_hi": below}), plant._replace(**{f"{name}_lo": above})]
+
+
+def by_harm(plant: Plant, q: Array, lasts: float, pieces: int) -> list[Plant]:
+    """The plant in pieces, each cut where it does most harm."""
+    parts = [plant]
+    while len(parts) < pieces:
+        worst = int(np.argmax([harm_of(p, q, lasts).max() for p in parts]))
+        parts += halves(parts.pop(worst), q, lasts)
+    return parts
+
+
+def cuts(s: Setting, top: Array, states: list[tuple[Array, Array]]) -> None:
+    """Prints what cutting brings, medians over joints in motion of each state and then over states."""
+    n, found = s.model.n, dict[str, list[float]]()
+    for q, dq in states:
+        start, fast = Start(q, dq, s.noise.radius[:n], s.noise.radius[n:]), np.abs(dq) > 0.2 * top
+        lasts, whole = expected_stop(s.plant, q, start.fastest), farthest(s, [s.plant], start)
+        ways = {f"{name} of joint {j + 1}": in_two(s.plant, name, j) for name in ("delay", "rise", "brake") for j in range(n)}
+        share = {way: float(np.median((farthest(s, parts, start) / whole)[fast])) for way, parts in ways.items()}
+        found.setdefault("the one interval in two that helps most", []).append(min(share.values()))
+        for pieces in (8, 32):
+            parts = by_harm(s.plant, q, lasts, pieces)
+            found.setdefault(f"{pieces} pieces", []).append(float(np.median((farthest(s, parts, start) / whole)[fast])))
+    for way, values in found.items():
+        print(f"{way}: {np.median(values):.3f} times as far ({min(values):.3f} to {max(values):.3f})", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--states", type=int, default=60)
     parser.add_argument("--arm", choices=list(arms()))
     parser.add_argument("--share", type=float, default=1.0, help="of full speed")
     parser.add_argument("--far", action="store_true")
+    parser.add_argument("--cuts", action="store_true")
     args = parser.parse_args()
     model, payload, top = ur5_like(), (4.75, 5.0), np.full(6, TOP)
     if args.arm:
@@ -116,6 +161,9 @@ def main() -> None:
         rng = np.random.default_rng(77)
         return [(rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top)) for _ in range(count)]
 
+    if args.cuts:
+        cuts(s, top, states())
+        return
     stated = None
     for name, case in cases(s.plant, s.lag).items():
         if not args.far:

@@ -156,8 +156,9 @@ def sampled(wanted: dict[str, Any], words: list[str], store: Path | None, second
         results = json.loads(store.read_text())
         if before := {key: results[key] for key in wanted if results[key] != wanted[key]}:
             raise SystemExit(f"{store} holds {before}; expected { {key: wanted[key] for key in before} }: name another file")
-    until, told, chosen = time.monotonic() + seconds, together(results)[0], cases(words)
-    done = False
+    chosen, told = cases(words), together(results)[0]
+    done = told >= wanted["stops"]
+    until = time.monotonic() + seconds
     while not done and time.monotonic() < until:
         for name, case in chosen.items():
             one_state(name, case, results["cases"].setdefault(name, {**NONE, **{key: [] for key in LISTS}}), wanted["box"])

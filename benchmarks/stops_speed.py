@@ -33,8 +33,10 @@ from stopset.reach.stops.tube import OK, Stride, march
 from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
 from stopset.reach.stops.types import Category
 from stopset.sets import Box
-from stopset.simulation.stop import StoppingArm, simulate_stop
+from stopset.simulation.stop import StoppingArm, simulate_stop, simulate_stops
 from stopset.types import Array
+
+BESIDE = 48  # stops simulated together
 
 
 def median_us(f: Callable[[], object], count: int) -> float:
@@ -189,11 +191,17 @@ def main() -> None:
         ),
         100,
     )
+    many = StoppingArm(
+        p.chain, *(np.repeat(x[None], BESIDE, axis=0) for x in (p.pi, p.rotor, p.coulomb_lo, p.viscous_lo, p.brake_lo, p.delay_hi, p.rise_hi))
+    )  # fmt: skip
+    starts = np.repeat([[q], [dq]], BESIDE, axis=1)
+    beside = median_us(lambda: simulate_stops(many, *starts, DT, length, np.zeros((BESIDE, 1, 6))), 20) / BESIDE
     print(
         f"box of the monitor, +-{box[0][0]:g} rad, +-{box[1][0]:g} rad/s, by the core with the tool's way: {monitored / 1e3:.2f} ms ({steps} steps)"
     )
     print(
-        f"  one nonlinear simulation at {DT * 1e3:g} ms: {simulated:.0f} us, so a box is worth {monitored / simulated:.1f} simulated stops"
+        f"  one nonlinear simulation at {DT * 1e3:g} ms: {simulated:.0f} us ({beside:.0f} us each of {BESIDE} together), so a box is worth "
+        f"{monitored / simulated:.1f} simulated stops ({monitored / beside:.1f})"
     )
     print(
         f"its tube alone, from Python: {certifier / 1e3:.2f} ms, "

@@ -156,9 +156,14 @@ class Held(NamedTuple):
 def hold(stops: Stops, tube: Tube, tip: Array) -> Held:
     """Simulate stops and hold each against ``tube`` every `DT` seconds."""
     steps = int(np.ceil(tube.t[-1] / DT)) + 2
+    return compare(*simulate_stops(stops.arms, stops.q0, stops.v0, DT, steps, stops.u), stops, tube, tip)
+
+
+def compare(qs: Array, vs: Array, stops: Stops, tube: Tube, tip: Array) -> Held:
+    """Hold simulated ``stops`` (count, steps + 1, n) against ``tube``."""
+    steps = qs.shape[1] - 1
     times = np.linspace(0.0, steps * DT, steps + 1)
     dl, dh, vl, vh = tube_at(tube, times)
-    qs, vs = simulate_stops(stops.arms, stops.q0, stops.v0, DT, steps, stops.u)
     d = qs - stops.q0[:, None]
     forward, back = d.max(axis=1), -d.min(axis=1)
     moves = np.abs(vs) > SPEED_ERROR
@@ -179,9 +184,9 @@ def hold(stops: Stops, tube: Tube, tip: Array) -> Held:
 class Farthest:
     """Of each thing that is bounded the stop that came nearest to its bound; more are bred from these."""
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, rows: int = U + PIECES) -> None:
         self.score = np.full(2 * n + 2, -np.inf)
-        self.load, self.shares = np.zeros(2 * n + 2), np.zeros((2 * n + 2, U + PIECES, n))
+        self.load, self.shares = np.zeros(2 * n + 2), np.zeros((2 * n + 2, rows, n))
 
     def learn(self, found: Held, load: Array, x: Array) -> None:
         """Keep the better ones: forward and back of each joint, time, TCP."""

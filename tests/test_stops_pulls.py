@@ -117,3 +117,16 @@ def _point(chain, q: Array, point: Array) -> Array:  # type: ignore[no-untyped-d
     R, o = link_frames(chain, q[None])
     out: Array = o[0, -1] + R[0, -1] @ point
     return out
+
+
+def test_bred_stops_go_farther() -> None:
+    """Stops bred from the farthest directed ones come nearer to the bound than as many more directed ones, and none leaves it."""
+    s = loaded(random_arm(7, 1))
+    n = s.model.n
+    q, dq, tube = tube_from(s, 0)
+    at = q, dq, s.noise.radius[:n], s.noise.radius[n:]
+    more = sample_stops(s.plant, *at, s.payload_com, tube, 750, 1)
+    bred = sample_stops(s.plant, *at, s.payload_com, tube, 250, 1, 500)
+    assert more.stops == bred.stops and more.escaped == bred.escaped == 0
+    way = [np.maximum(x.forward, x.back) for x in (more, bred)]
+    assert np.mean(way[1] / way[0]) > 1.0 and np.all(way[1] > 0.98 * way[0])

@@ -95,21 +95,19 @@ void stopset_sincos(double x, double *s, double *c) {
     *c = (k + 1) & 2 ? -cosine : cosine;
 }
 
-/* As one by one; where a number asks for more digits of pi, or is none, they are. */
+/* As one by one; those that ask for more digits of pi, or are none, are done so. */
 STOPSET_WIDE void stopset_sincos_of_four(const double *x, double *s, double *c) {
     const Four X = *(const Four *)x, turned = X * 0x1.45f306dc9c883p-1 + 6755399441055744.0, k = turned - 6755399441055744.0;
     const Four r = X - k * 0x1.921fb544p+0, b = -(k * 0x1.0b4611a6p-34), sum = r + b, other = sum - r;
     const Four w = (r - (sum - other)) + (b - other) - k * 0x1.3198a2e037073p-69, hi = sum + w, lo = (sum - hi) + w;
     const Choice plain = (SIZES_OF(X) <= FOUR_OF(1e6)) & (SIZES_OF(sum) > FOUR_OF(0x1p-10)), quarter = (Choice)turned;
-    if (!(plain[0] & plain[1] & plain[2] & plain[3])) {
-        for (int i = 0; i < 4; i++) stopset_sincos(x[i], s + i, c + i);
-        return;
-    }
     const Four z = hi * hi, half = 0.5 * z, one = 1.0 - half;
     const Four sine = hi + (hi * z * SINE_SERIES(z) + lo * (1.0 - half)), cosine = one + (((1.0 - one) - half) + (z * z * COSINE_SERIES(z) - hi * lo));
     const Choice odd = (quarter & 1) != 0, minus = ((quarter & 2) != 0) & INT64_MIN, other_minus = (((quarter + 1) & 2) != 0) & INT64_MIN;
     *(Four *)s = (Four)((Choice)CHOSEN(odd, cosine, sine) ^ minus);
     *(Four *)c = (Four)((Choice)CHOSEN(odd, sine, cosine) ^ other_minus);
+    for (int i = 0; i < 4; i++)
+        if (!plain[i]) stopset_sincos(x[i], s + i, c + i);
 }
 
 double stopset_sin(double x) {

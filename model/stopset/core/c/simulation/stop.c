@@ -269,6 +269,7 @@ int stopset_sim_stops(const StopsetSimStops *s, const double *q0, const double *
     memset(&f, 0, sizeof f);
     x.stops = s, x.time = time, x.q0 = q0, x.v0 = v0, x.qs = qs, x.vs = vs;
     x.h = FOUR_OF(time->dt);
+    for (int i = 0; i < n; i++) x.q[i] = x.rotor[i] = FOUR_OF(1.0); /* a lane without a stop computes too, and nothing that takes long */
     for (int l = 0; l < LANES; l++) begin(&x, l);
     for (;;) {
         int taken = 0, active = 0;
