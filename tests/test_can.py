@@ -578,6 +578,8 @@ def test_why_no_cycle_is_whole_is_said_once() -> None:
     assert heard({cob for cob, _ in frames}) == [], "nor on a dead bus: as before"
     assert heard(set()) == []
     assert len(heard({cob for cob, _ in frames})) == 1
+    source, slow = CanSource(bus, replace(PROFILE, cycle_s=0.5), 0.5), {cob for cob, _ in frames}
+    assert heard(set()) == [] == heard(slow), "of slow cycles a look may see none"
 
 
 @pytest.mark.parametrize(("pause", "gap"), [(0.0, False), (0.05, False), (0.3, True)])

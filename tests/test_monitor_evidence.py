@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import heapq
 import json
+import os
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -631,3 +633,25 @@ def test_a_schema_for_every_topic(tmp_path: Path) -> None:
         file = McapFile(f, "stopset", {})
         with pytest.raises(KeyError):
             file.add("nobody's", 0, {})
+
+
+def test_a_standard_error_that_nobody_reads_holds_up_no_recorder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pipe that was full kept violations from being written, and the monitor from ending."""
+    reads, writes = os.pipe()
+    with os.fdopen(reads) as reader, os.fdopen(writes, "w") as full:
+        monkeypatch.setattr(sys, "stderr", full)
+        recorder = Recorder(Trace(6), Records(), tmp_path, DT)
+        for k in range(300):
+            recorder.overhear("event", json.dumps({"kind": "bus", "why": f"{k} " + 1000 * "x"}).encode())
+        turn = threading.Thread(target=recorder.turn, daemon=True)
+        turn.start()
+        turn.join(10.0)
+        held_up, dropped = turn.is_alive(), recorder.dropped
+        while turn.is_alive():  # so that the test ends
+            os.read(reads, 65536)
+        lines = [reader.readline() for _ in range(300 - dropped)] if not held_up else []
+    assert not held_up and dropped > 100
+    assert [line[:22] for line in lines[:2]] == ['stopset bus {"why":"0 ', 'stopset bus {"why":"1 '], (
+        "what somebody may read later is whole"
+    )
+    assert all(line.endswith('"}\n') for line in lines)

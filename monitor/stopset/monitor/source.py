@@ -24,6 +24,7 @@ from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
 STOOD = 0.1  # [s] more between two SYNC than their counter says: no stamp is late by as much, the master has stood still
+SLOW_CYCLE = 0.2  # [s] of longer ones none may be whole between two looks, and nothing is wrong
 GAP = 1000  # a step in the cycle number that no run of samples makes
 BACKLOG = 8  # messages that may wait; of more the oldest are dropped
 TURN = 1024  # frames looked at in one turn at most, a few milliseconds' work
@@ -177,7 +178,7 @@ class CanSource:
     def _lacking(self) -> str:
         """What never came since `complaints` were asked for last, if there was no cycle; empty if there was one."""
         frames, cycles = self._seen
-        if frames < 0 or self._count.cycles > cycles:
+        if frames < 0 or self._count.cycles > cycles or self.cycle_s > SLOW_CYCLE:
             return ""
         came, p = self.decoder.came_since(frames), self.profile
         if p.sync_id not in came:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import sys
 import threading
 import time
@@ -129,7 +130,7 @@ class Recorder:
         words = [self._words.popleft() for _ in range(len(self._words))]
         for name, _, data in words:
             if name == "event":
-                _to_journal(data)
+                self.dropped += not _to_journal(data)
         if self.settings.continuous and self._model is not None:
             if self._running is None:
                 self._running = Running(self.folder, self.settings, self.trace.n, self.about)
@@ -232,15 +233,24 @@ class Recorder:
                 self._running.close()
 
 
-def _to_journal(data: bytes) -> None:
-    """One line to the system's journal, which reads standard error; under systemd the number in front is its priority."""
+def _to_journal(data: bytes) -> bool:
+    """One line to the system's journal, which reads standard error; under systemd the number in front is its priority.
+
+    False if it was left out, because nobody has read the lines before: the recorder waits for no reader.
+    """
+    try:
+        if not select.select([], [sys.stderr], [], 0.0)[1]:
+            return False
+    except (OSError, ValueError, TypeError):  # no file of the system's
+        pass
     try:
         event = msgspec.json.decode(data)
         kind = str(event.get("kind"))
         said = {k: v for k, v in event.items() if k not in ("kind", "evidence", "evidence_columns", "t_ns", "seq")}
         mark = f"<{PRIORITY.get(kind, 5)}>" if "JOURNAL_STREAM" in os.environ else ""
         line = f"{mark}stopset {kind} {msgspec.json.encode(said).decode()[:2000]}\n"
-        sys.stderr.write(line)
+        sys.stderr.write(line)  # shorter than what a pipe that takes anything takes at once
         sys.stderr.flush()
     except (OSError, ValueError, msgspec.MsgspecError):
         pass  # nobody reads it
+    return True
