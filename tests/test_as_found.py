@@ -378,6 +378,12 @@ def test_what_is_no_claim() -> None:
     # a real UR10e's elbow, and an elbow beside a gear with play: neither is shown to swing as such a gear does
     assert "times what such a gear makes" in objection(gear, {"share": 0.83, **shape}, {"share": 0.066}, 60.0)
     assert "times what such a gear makes" in objection(gear, {"share": 0.76, **shape}, {"share": 0.042}, 60.0)
+    # a real UR10e with a load: the elbow's torque constant has not changed by 13 % since, as nobody would say of 2.7 standard errors
+    gain = get("torque_gain")
+    assert objection(gain, {"e": -0.135}, {"e": 0.05}, 60.0) == ""
+    assert "4 times its error" in objection(gain, {"e": -0.135}, {"e": 0.05}, 60.0, modelled=True)
+    assert objection(gain, {"e": 0.109}, {"e": 0.006}, 60.0, modelled=True) == ""
+    assert objection(heating, near | {"tau_w": 2.0}, {"k_v": 7.0, "k_c": 1.8, "tau_w": 0.045}, 60.0, modelled=True) == ""
     nothing = {t.symbol: 0.0 for t in body.terms}
     # a healthy arm weeks later: a moment of five times its error, and no mass
     assert "its mass is not" in objection(

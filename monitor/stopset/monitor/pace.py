@@ -23,6 +23,7 @@ class Pace:
 
     period: float
     why: str = ""
+    _was_good: bool = False  # when it was looked at last
     _stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST + 1))
 
     def take(self, t: float) -> None:
@@ -32,9 +33,11 @@ class Pace:
         intervals = len(stamps) - 1
         if intervals < LEAST:
             return
-        # a good bus has the right mean, which is found in no time
+        # a good bus has the right mean, which is found in no time; so may one of another cycle that has just made up for a pause
         mean = (t - stamps[0]) / intervals
-        self.why = "" if abs(mean - self.period) <= ANOTHER * self.period else self._looked_at()
+        if not (self._was_good and abs(mean - self.period) <= ANOTHER * self.period):
+            self.why = self._looked_at()
+            self._was_good = not self.why
 
     def _looked_at(self) -> str:
         """By the middle interval, which lost samples and those held up do not move."""
