@@ -384,6 +384,10 @@ def test_what_is_no_claim() -> None:
     assert "4 times its error" in objection(gain, {"e": -0.135}, {"e": 0.05}, 60.0, modelled=True)
     assert objection(gain, {"e": 0.109}, {"e": 0.006}, 60.0, modelled=True) == ""
     assert objection(heating, near | {"tau_w": 2.0}, {"k_v": 7.0, "k_c": 1.8, "tau_w": 0.045}, 60.0, modelled=True) == ""
+    # an offset of a real LBR Med's torque sensor, called a spring of no known stiffness
+    said = objection(get("spring"), {"k": 0.015, "c": -0.093}, {"k": 0.25, "c": 0.009}, 60.0)
+    assert said.startswith("its stiffness is not larger than twice its error")
+    assert objection(get("spring"), {"k": 0.205, "c": -0.284}, {"k": 0.005, "c": 0.005}, 60.0) == ""
     nothing = {t.symbol: 0.0 for t in body.terms}
     # a healthy arm weeks later: a moment of five times its error, and no mass
     assert "its mass is not" in objection(

@@ -27,4 +27,5 @@ EFFECT = Effect(
     looks_like=("asymmetric_coulomb", "payload", "base_tilt", "encoder_offset"),
     distinguished_by="Move slowly through the joint's range in a pose where gravity does not load it.",
     simulated="dress pack",
+    essential=True,
 )
