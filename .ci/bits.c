@@ -71,10 +71,10 @@ int main(void) {
     const double rotor[N] = {2, 2, 1, 1, 0.5, 0.25}, dry[N] = {15, 15, 10, 8, 3, 2}, viscous[N] = {5, 5, 3, 3, 1, 1};
     const double brake[N] = {222, 222, 106, 106, 25, 12}, delay[N] = {0.0625, 0.0625, 0.03125, 0.0625, 0.0625, 0.0625};
     const double rise[N] = {0.015625, 0.015625, 0.03125, 0.015625, 0.015625, 0.0078125};
-    const StopsetSimStop stop = {arm, rotor, dry, viscous, brake, delay, rise};
+    const StopsetSimStops stop = {1, arm, rotor, dry, viscous, brake, delay, rise};
     fill(push, 4 * N, 1.0);
     const StopsetSimTime horizon = {1.0 / 1024.0, STEPS, 4, push};
-    refused |= stopset_sim_stop(&stop, x, y, &horizon, q, v);
+    refused |= stopset_sim_stops(&stop, x, y, &horizon, q, v);
     eat(q, (STEPS + 1) * N), eat(v, (STEPS + 1) * N);
     printf("%s %08x\n", refused ? "refused" : stopset_sources(), (unsigned)sum);
     return refused;

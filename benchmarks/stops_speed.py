@@ -1,12 +1,13 @@
 """How fast stop bounds are: a box for the monitor, a state, the first call; beside one simulated stop.
 
-    python benchmarks/stops_speed.py
+    python benchmarks/stops_speed.py [--ramps]
 
 CPU time of this process, so that other work on the machine counts less; medians.
 """
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 import time
@@ -87,29 +88,44 @@ def boxes(states: int = 12) -> None:
 
 
 def ramps(states: int = 12) -> None:
-    """STOP 0, and STOP 1 that may fail, speed compared with the ramp (SS1-r): a proof for each time at which that may be found out."""
+    """STOP 0, and STOP 1 that may fail: power taken after a time (SS1-t), or when the ramp is left (SS1-r)."""
     print(
-        f"by the core, payload from nothing to the rated one, {states} measured states: STOP 0, SS1-r that may fail: median [ms], worst [ms]"
+        f"by the core, payload from nothing to the rated one, {states} measured states: STOP 0, SS1-t and SS1-r that may fail: median [ms], "
+        "worst [ms]; a hash of all bounds"
     )
+    kinds: tuple[tuple[Category, float | None, bool], ...] = (
+        ("0", 0.4, False),
+        ("1 guaranteed", 0.4, False),
+        ("1 guaranteed", None, True),
+    )
+    every = 0.0
     for name, (model, top) in arms().items():
-        if name not in ("PRBT-like", "UR10e-like"):
-            continue
+        n, told, bits = model.n, [], hashlib.sha256()
         setting = StopBounds.of(model, model.domain.payload).setting
         assert setting is not None
-        ramp = Ramp(
-            "time", Box.of(np.full(6, 0.25), np.full(6, 0.3)), Box.of(np.full(6, 0.004), np.full(6, 0.01)), np.full(6, 0.01),
-            np.full(6, 0.05), off_after=0.4, monitored=True,
+        about = Ramp(
+            "time", Box.of(np.full(n, 0.25), np.full(n, 0.3)), Box.of(np.full(n, 0.004), np.full(n, 0.01)), np.full(n, 0.01), np.full(n, 0.05),
         )  # fmt: skip
-        spent: dict[Category, list[float]] = {"0": [], "1 guaranteed": []}
-        core, rng = CompiledStops.of(setting, ramp), np.random.default_rng(1)
-        for _ in range(states):
-            q, dq = rng.uniform(-np.pi, np.pi, 6), rng.uniform(-1.0, 1.0, 6) * top
-            for category, times in spent.items():
+        for category, after, monitored in kinds:
+            core, rng, spent = (
+                CompiledStops.of(setting, replace(about, off_after=after, monitored=monitored)),
+                np.random.default_rng(1),
+                [],
+            )
+            for _ in range(states):
+                q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top
                 start = time.thread_time_ns()
-                assert core.bound(q, dq, category) is not None
-                times.append((time.thread_time_ns() - start) / 1e6)
-        told = "; ".join(f"{np.median(x):.2f}, {max(x):.2f}" for x in spent.values())
-        print(f"  {name}, 0 to {model.domain.payload[1]:.3g} kg: {told}")
+                found = core.bound(q, dq, category)
+                spent.append((time.thread_time_ns() - start) / 1e6)
+                bits.update(
+                    b"none"
+                    if found is None
+                    else np.concatenate([found.time, found.forward, found.back, found.speed, found.tool]).tobytes()
+                )
+            told.append(f"{np.median(spent):.2f}, {max(spent):.2f}")
+            every += sum(spent)
+        print(f"  {name}, 0 to {model.domain.payload[1]:.3g} kg: {'; '.join(told)}; {bits.hexdigest()[:12]}", flush=True)
+    print(f"  all of them: {every / 1e3:.2f} s")
 
 
 FRESH = """
@@ -135,6 +151,9 @@ def fresh_process() -> list[float]:
 
 
 def main() -> None:
+    if "--ramps" in sys.argv[1:]:
+        ramps()
+        return
     bounds = StopBounds.of(prbt_like(), (0.0, 0.25))
     q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
     dq = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])

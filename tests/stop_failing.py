@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stop_sampling import ANGLE_ERROR, DT, SPEED_ERROR, draw, inverse_inertia, start_of
+from stop_sampling import ANGLE_ERROR, DT, SPEED_ERROR, Measured, draws
 from stopset.reach.stops import Ramp, StopBound, StopBounds
 from stopset.robot.rigid import Chain, link_frames
-from stopset.simulation.stop import StoppingArm, simulate_stop
+from stopset.simulation.stop import simulate_stop
 from stopset.types import Array
 
 CHANGES = 6  # of a failing joint's speed before power is taken
@@ -64,19 +64,14 @@ def sample_failed_ramps(bounds: StopBounds, bound: StopBound, q: Array, dq: Arra
     assert bound.time is not None and bound.speed is not None and bound.tcp is not None and bound.tcp_box is not None
     rng = np.random.default_rng(seed)
     n, plant, chain = len(q), s.plant, s.plant.chain
-    W = inverse_inertia(plant, q)
-    sign = np.where(dq >= 0.0, 1.0, -1.0)
+    stops = draws(plant, Measured(q, dq, s.noise.radius[:n], s.noise.radius[n:]), np.arange(count) % 5, rng)
     angle, time, tcp, escaped = np.zeros(n), 0.0, 0.0, 0
     steps = int(np.ceil(min(HORIZON, float(bound.time.max())) / DT)) + 2
     for k in range(count):
-        kind = k % 5
-        x = draw(plant, kind, sign, W, rng)
-        q0, v0 = start_of(x, kind, q, dq, s.noise.radius[:n], s.noise.radius[n:], rng)
+        arm, q0, v0, u = stops.one(k)
         shares = failing_shares(ramp, dq, rng)
         before = np.vstack([np.zeros(n), np.cumsum(shares * v0 * DT, axis=0)])
-        qs, vs = simulate_stop(
-            StoppingArm(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise), q0 + before[-1], shares[-1] * v0, DT, steps, x.u
-        )  # fmt: skip
+        qs, vs = simulate_stop(arm, q0 + before[-1], shares[-1] * v0, DT, steps, u)
         d = np.vstack([before, qs - q0])
         v = np.vstack([shares * v0, vs])
         moving = np.any(np.abs(vs) > SPEED_ERROR, axis=1)

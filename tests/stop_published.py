@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stop_failing import failing_shares
-from stop_sampling import ANGLE_ERROR, DT, SPEED_ERROR, Draw, draw, inverse_inertia, start_of
+from stop_sampling import ANGLE_ERROR, DT, SPEED_ERROR, Measured, draws
 from stopset.reach.stops import Ramp, StopBound, StopBounds
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque, link_frames
@@ -166,39 +166,38 @@ def _rested(t: Array, v: Array, band: Array | float) -> Array:
     return np.asarray(t[last])
 
 
-def _held(bounds: StopBounds, d: Draw, q: Array) -> Array:
+def _held(bounds: StopBounds, arm: StoppingArm, q: Array) -> Array:
     p = bounds.setting.plant  # type: ignore[union-attr]
-    g = gravity_torque(p.chain, d.pi, q)
-    return np.asarray(d.B + d.F - np.maximum(np.abs(g - p.u_lo), np.abs(g - p.u_hi)))
+    g = gravity_torque(p.chain, arm.pi, q)
+    return np.asarray(arm.brake_torque + arm.fc - np.maximum(np.abs(g - p.u_lo), np.abs(g - p.u_hi)))
 
 
-def _cut(bounds: StopBounds, d: Draw, q: Array, v: Array, lasts: float) -> tuple[Array, Array]:
-    arm = StoppingArm(bounds.setting.plant.chain, d.pi, d.rotor, d.F, d.D, d.B, d.delay, d.rise)  # type: ignore[union-attr]
-    return simulate_stop(arm, q, v, DT, int(lasts / DT) + 2, d.u)
+def _cut(arm: StoppingArm, u: Array, q: Array, v: Array, lasts: float) -> tuple[Array, Array]:
+    return simulate_stop(arm, q, v, DT, int(lasts / DT) + 2, u)
 
 
 def _draws(
     bounds: StopBounds, q: Array, dq: Array, radii: tuple[Array, Array], count: int, seed: int
-) -> Iterator[tuple[np.random.Generator, Draw, Array, Array]]:
-    """Arms, and true states behind measured ones at the corners of a box ``radii`` around (q, dq)."""
+) -> Iterator[tuple[np.random.Generator, StoppingArm, Array, Array, Array]]:
+    """Arms, disturbances, and true states behind measured ones at the corners of a box ``radii`` around (q, dq)."""
     s, n = bounds.setting, len(q)
     assert s is not None
-    W, sign, rng = inverse_inertia(s.plant, q), np.where(dq >= 0.0, 1.0, -1.0), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     for k in range(count):
-        d = draw(s.plant, k % 5, sign, W, rng)
         corner = [r * (2.0 * rng.integers(0, 2, n) - 1.0) for r in radii]
-        q0, v0 = start_of(d, k % 5, q + corner[0], dq + corner[1], s.noise.radius[:n], s.noise.radius[n:], rng)
-        yield rng, d, q0, v0
+        at = Measured(q + corner[0], dq + corner[1], s.noise.radius[:n], s.noise.radius[n:])
+        arm, q0, v0, u = draws(s.plant, at, np.array([k % 5]), rng).one(0)
+        yield rng, arm, u, q0, v0
 
 
 def power_off(
     bounds: StopBounds, q: Array, dq: Array, radii: tuple[Array, Array], lasts: float, count: int, seed: int
 ) -> Iterator[Stopped]:
     """STOP 0, from every corner of the box of measured states."""
-    for _, d, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
-        qs, vs = _cut(bounds, d, q0, v0, lasts)
+    for _, arm, u, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
+        qs, vs = _cut(arm, u, q0, v0, lasts)
         t = np.arange(len(qs)) * DT
-        yield Stopped(t, qs, vs, _rested(t, vs, SPEED_ERROR), _held(bounds, d, qs[-1]))
+        yield Stopped(t, qs, vs, _rested(t, vs, SPEED_ERROR), _held(bounds, arm, qs[-1]))
 
 
 def failed_ramp(
@@ -206,13 +205,13 @@ def failed_ramp(
 ) -> Iterator[Stopped]:
     """STOP 1 whose ramp fails, joint by joint, until power is taken."""
     assert bounds.ramp is not None
-    for rng, d, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
+    for rng, arm, u, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
         shares = failing_shares(bounds.ramp, dq, rng)
         before = np.vstack([np.zeros(len(q)), np.cumsum(shares * v0 * DT, axis=0)])
-        qs, vs = _cut(bounds, d, q0 + before[-1], shares[-1] * v0, lasts)
+        qs, vs = _cut(arm, u, q0 + before[-1], shares[-1] * v0, lasts)
         t = np.arange(len(before) - 1 + len(qs)) * DT
         v = np.vstack([shares * v0, vs])
-        yield Stopped(t, np.vstack([q0 + before[:-1], qs]), v, _rested(t, v, SPEED_ERROR), _held(bounds, d, qs[-1]))
+        yield Stopped(t, np.vstack([q0 + before[:-1], qs]), v, _rested(t, v, SPEED_ERROR), _held(bounds, arm, qs[-1]))
 
 
 def ramp_motion(ramp: Ramp, v0: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
@@ -242,7 +241,7 @@ def working_ramp(
     """STOP 1 and 2; with a ``window`` [rad] the arm drifts to its edge, leaves it, and power is taken."""
     ramp, n = bounds.ramp, len(q)
     assert ramp is not None
-    for rng, d, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
+    for rng, arm, u, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
         t, moved, v = ramp_motion(ramp, v0, rng)
         rests, left = _rested(t, v, ramp.band), None
         if window:
@@ -254,10 +253,10 @@ def working_ramp(
             rests = np.maximum(rests, _rested(t, v, ramp.band))
             crept = q0 + moved[-1] + side * ramp.creep * ramp.reaction
             # what is shed after power-off is what the drives may still give on top of creeping
-            qs, vs = _cut(bounds, d, crept, side * ramp.creep, 0.6)
+            qs, vs = _cut(arm, u, crept, side * ramp.creep, 0.6)
             gone = np.arange(len(qs)) * DT
             left = float(np.abs(qs - q0 - moved[-1]).max()), float(ramp.reaction + _rested(gone, vs, SPEED_ERROR).max())
-        yield Stopped(t, q0 + moved, v, rests, _held(bounds, d, q0 + moved[-1]), left)
+        yield Stopped(t, q0 + moved, v, rests, _held(bounds, arm, q0 + moved[-1]), left)
 
 
 def weakened(b: StopBound, name: str, share: float = 0.5) -> StopBound:

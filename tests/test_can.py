@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import os
 import struct
@@ -33,7 +34,7 @@ from stopset.monitor.links.hub import Hub, HubClient
 from stopset.monitor.logs import play_log
 from stopset.monitor.profile import SIGNALS, SYNC_ID, load_profile, shipped_profiles
 from stopset.monitor.replay import PAUSE_CYCLES, CanSink, JointStateSink, play, signal_rows
-from stopset.monitor.source import CanSource
+from stopset.monitor.source import CanSource, CycleCount
 from stopset.recording import Recording, read_recordings, write_recordings
 
 PROFILE = load_profile("lwa4p/monitor")
@@ -514,3 +515,75 @@ def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.Capt
     assert np.abs((stamps - stamps[0]) * 1e-9 - (uneven.t - uneven.t[0])).max() < 1e-7, "they carry the recording's own stamps"
     write_recordings(tmp_path / "r.parquet", meta(), [r])
     assert main(["replay", str(tmp_path / "r.parquet"), "--to", "nowhere"]) == 2
+
+
+def test_a_heartbeat_stamped_ahead_does_not_hide_a_silence() -> None:
+    """It counted until its stamp was past: 40 s of a drive that had fallen silent were OK."""
+    d = Decoder(PROFILE)
+    for node in PROFILE.nodes.values():
+        d.frame(0x700 + node, b"\x05", 1e3)
+    assert d.nodes.bad(1e3) == (0, "")
+    d.frame(0x705, b"\x05", 1e3 + 40.0)
+    for now in (1e3 + 0.1, 1e3 + 1.0, 1e3 + 39.0):
+        for node in set(PROFILE.nodes.values()) - {5}:
+            d.frame(0x700 + node, b"\x05", now)
+        assert d.nodes.bad(now) == (0b100, "the drive of arm_3_joint (node 5) has sent no heartbeat for 0.3 s")
+
+
+def test_an_error_frame_is_one_however_long_its_identifier_is_said_to_be() -> None:
+    """Some adapters of python-can give one as an extended frame, which is what a message is unless somebody says otherwise."""
+    sender, hears = can.Bus(interface="virtual", channel="errors"), listen("virtual:errors")
+    with contextlib.closing(hears):
+        for extended in (True, False):
+            sender.send(can.Message(arbitration_id=0, is_error_frame=True, is_extended_id=extended, dlc=0))
+            with pytest.raises(BusError, match="error frame on the bus"):
+                hears.recv(2.0)
+    sender.shutdown()
+
+
+class Fed:
+    """A bus that gives what is put into ``frames``."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+
+    def recv(self, timeout: float) -> Frame | None:
+        return self.frames.pop(0) if self.frames else None
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_why_no_cycle_is_whole_is_said_once() -> None:
+    """It was "no signal from the arm", whether the bus was dead or one drive of six had lost its mapping."""
+    bus = Fed()
+    source, (_, frames) = CanSource(bus, PROFILE, DT), one_cycle()
+
+    def heard(without: set[int]) -> list[str]:
+        encoder, (values, _) = Encoder(PROFILE), one_cycle()
+        for _ in range(20):
+            t = time.time()
+            bus.frames += [Frame(cob, data, t) for cob, data in encoder.frames(values) if cob not in without]
+        while bus.frames:
+            source.next(0.0)
+        return source.complaints()
+
+    assert heard(set()) == [] == heard(set())
+    (said,) = heard({0x383, 0x484})
+    assert said.startswith(
+        "no cycle is whole, for these PDOs do not come: 0x383 of arm_1_joint; 0x484 of arm_2_joint; look at these drives"
+    )
+    assert heard({0x383, 0x484}) == [], "as before"
+    assert heard({SYNC_ID}) == ["no SYNC (0x080) on the bus; look at the master, cable, power and bit rate"]
+    assert heard({cob for cob, _ in frames}) == [], "nor on a dead bus: as before"
+    assert heard(set()) == []
+    assert len(heard({cob for cob, _ in frames})) == 1
+
+
+@pytest.mark.parametrize(("pause", "gap"), [(0.0, False), (0.05, False), (0.3, True)])
+def test_a_master_that_stood_still_has_not_counted(pause: float, gap: bool) -> None:
+    """Its counter goes on by one, and the arm has moved for all the time: what was predicted for one cycle accused it."""
+    count = CycleCount(DT, PROFILE.sync_overflow)
+    numbers = [count(Cycle(k + 1, 100.0 + k * DT + (pause if k >= 10 else 0.0), np.zeros((5, 6)))) for k in range(20)]
+    steps = np.diff(numbers)
+    assert (steps[9] > 1) == gap and set(np.delete(steps, 9)) == {1}

@@ -171,6 +171,7 @@ def test_nodes_are_good_while_their_heartbeats_come() -> None:
     assert not t.feed([Frame(0x703, operational, 1e3), Frame(0x704, b"\x85", 1e3), Frame(0x705, b"\x04", 1e3)])
     assert lib.stopset_nodes_good(t.d, 1000.4) and not lib.stopset_nodes_good(t.d, 1000.6)
     assert not lib.stopset_nodes_good(t.d, math.nan), "no clock, no answer that all is well"
+    assert not lib.stopset_nodes_good(t.d, 999.4), "of before the clock was set back, or stamped ahead: that says nothing of now"
     # what is no such heartbeat is the caller's: another state, another length
     for data in (b"\x04", b"\x05\x00", b""):
         assert [what for what, *_ in t.feed([Frame(0x703, data, 1e3)])] == [lib.STOPSET_SERVICE]

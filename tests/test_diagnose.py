@@ -343,8 +343,8 @@ def test_a_law_that_predicts_nothing_is_no_claim() -> None:
     base, before = Hypothesis(None), np.array([0.3, 0.1069])  # type: ignore[arg-type]  # no delay is judged: no engine is asked
     hyper = Hyper((), (), 1.0)
 
-    def claimed(c: Candidate, after: np.ndarray, *earlier: Candidate) -> bool:
-        return not judged(base, c, before, after, hyper, earlier).why
+    def claimed(c: Candidate, after: np.ndarray, *earlier: Candidate, left: tuple[float, ...] = ()) -> bool:
+        return not judged(base, c, before, after, hyper, earlier, left).why
 
     assert not claimed(cubic, np.array([0.2, 0.1074]))  # another joint's error does not count
     assert not claimed(cubic, before * 0.985)
@@ -354,6 +354,9 @@ def test_a_law_that_predicts_nothing_is_no_claim() -> None:
     cable, spring = (Candidate(get(name), (1,), {}, columns, sd) for name in ("cable", "spring"))
     assert claimed(cable, before * 0.97, spring) and not claimed(spring, before * 0.97, beside)  # a finer form is no second cause
     assert not claimed(elastic, before * 0.93) and claimed(elastic, before * 0.7)
+    # where much is left whatever is claimed a cause must stand out of it; at another joint that does not matter
+    assert not claimed(cubic, before * 0.96, left=(1.0, 20.0)) and claimed(cubic, before * 0.96, left=(20.0, 1.0))
+    assert claimed(cubic, before * 0.85, left=(1.0, 20.0))
 
 
 def test_a_slow_wander_is_seen_and_called_unknown() -> None:

@@ -369,6 +369,9 @@ def test_outside_what_was_identified_there_is_no_number(exported: Any) -> None:
         assert silent(u, model)
         u.set({"temp_axis_2": 35.0})
         assert equals(u, model, bounds.bound(q, dq))
+        u.step(0.01)
+        assert u.get("verdict") == 1
+        u.state(model, q + 0.3, dq)
         u.step(0.01)  # the measured state is far from the prediction: refuted, and so it stays
         assert u.get("verdict") == 2
         assert silent(u, model)

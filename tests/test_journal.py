@@ -184,3 +184,59 @@ def test_the_slot_that_the_disk_holds_is_not_touched() -> None:
     held = bytes(disk.plates)
     journal.write(Record(why="x", count=9))
     assert {at // SLOT for at in range(len(held)) if disk.memory[at] != held[at]} == {0, 1} - changed
+
+
+CROWDED = """
+import resource, sys
+from pathlib import Path
+from stopset.errors import OutputError
+from stopset.monitor.journal import FileStore
+from stopset.monitor.latch import Record
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (20480, 20480))
+try:
+    FileStore(Path(sys.argv[1]), Record())
+except OutputError as e:
+    print(e)
+"""
+
+
+def test_a_disk_with_room_for_half_a_journal_gets_none(tmp_path: Path) -> None:
+    """What fitted was kept, and the next start found a damaged journal: a violation that never was."""
+    path = tmp_path / "arm.latch"
+    out = subprocess.run(
+        [sys.executable, "-c", CROWDED, str(path)], env=environment(), stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert "cannot be written" in out.stdout and not list(tmp_path.iterdir())
+    latch = Latch(Journal(FileStore(path, Record())))
+    assert not latch.latched
+    latch.close()
+
+
+def test_room_for_counts_is_there_from_the_start(tmp_path: Path) -> None:
+    """On a disk that is full when the first violation comes they could not be written."""
+    FileStore(tmp_path / "arm.latch", Record()).close()
+    before = (tmp_path / ".arm.latch.counts").stat().st_size
+    latch = Latch(Journal(FileStore(tmp_path / "arm.latch", Record())))
+    for k in range(3):
+        latch.take(sample(k), bad(k), 0.0)
+    latch.close()
+    assert (tmp_path / ".arm.latch.counts").stat().st_size == before > 0
+
+
+def test_an_emergency_finds_room_behind_whatever_was_violated(tmp_path: Path) -> None:
+    """Eight joints, both states, both sides: the slot was full, and an emergency after it was forgotten by a restart."""
+    found = tuple(
+        Deviation(f"robot_left_shoulder_pan_joint_{j}", state, side, *np.random.default_rng(j).uniform(size=3), -1 / 3, 1 / 3, True)
+        for j in range(8) for state in ("q", "dq") for side in ("above", "below")
+    )  # fmt: skip
+    latch = Latch(Journal(FileStore(tmp_path / "arm.latch", Record())))
+    for k in range(5):
+        latch.take(sample(k), Verdict(Conformance.VIOLATION, "x", 1, 0.1, found), 0.0)
+    latch.hear({"robot_left_shoulder_pan_joint_3": 0x2310})
+    assert not latch.keep(10.0) and len(latch.record.entries) == 32
+    latch.close()
+    again = Latch(Journal(FileStore(tmp_path / "arm.latch", Record())))
+    assert again.latched and again.count == 5 and again.record.emergencies == {"robot_left_shoulder_pan_joint_3": 0x2310}
+    assert 20 < len(again.record.entries) < 32
+    again.close()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import hmac
 import random
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from float32 import outward
-from monitor_process import compiled
+from monitor_process import compiled, environment
 from state_messages import pack
 from stopset.monitor.authentication import Key, KeyFileError, Keys, load_keys
 from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Expected, Fault
@@ -308,3 +310,53 @@ def test_c_and_python_agree_on_every_step(twin: ctypes.CDLL, seed: int, steps: i
         assert twin.take(data, len(data), arrived) == c.take(data, arrived)
         look = arrived + rng.choice([0, 10 * MS, 60 * MS])
         assert (twin.state(look), twin.why(), twin.lost()) == (c.state(look), c.why, c.lost)
+
+
+def test_who_speaks_otherwise_than_is_expected_is_told_as_that() -> None:
+    """A monitor whose configuration was edited beneath it: "no answer to my challenge", or silence, sent nobody to the right place."""
+    c = Consumer(EXPECTED, WATCHDOG)
+    c.take(message(T, 1, config_hash=1), T)
+    assert c.state(T) is State.FAULT and c.why is Fault.OTHER_CONFIG
+    assert c.state(T + 51 * MS) is State.FAULT and c.why is Fault.NO_MESSAGE
+    c = proven()
+    c.take(message(T + 60 * MS, 11, model_hash=1), T + 60 * MS)
+    assert c.state(T + 61 * MS) is State.FAULT and c.why is Fault.OTHER_MODEL
+    assert c.state(T + 120 * MS) is State.FAULT and c.why is Fault.SILENT
+
+
+COUNTER = """
+#include <stddef.h>
+extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t);
+static __thread long taken;
+long allocations_of_this_thread(void) { return taken; }
+void *malloc(size_t n) { taken++; return __libc_malloc(n); }
+void *calloc(size_t m, size_t n) { taken++; return __libc_calloc(m, n); }
+void *realloc(void *p, size_t n) { taken++; return __libc_realloc(p, n); }
+"""
+CODES = """
+import ctypes
+from stopset.monitor.authentication import Key
+from stopset.monitor.layout import LENGTH
+key, data, taken = Key(1, bytes(32)), bytearray(LENGTH - 20), ctypes.CDLL(None).allocations_of_this_thread
+for _ in range(100):
+    key.code(data)
+before = taken()
+for _ in range(1000):
+    key.code(data)
+print(taken() - before)
+"""
+
+
+def test_a_code_takes_no_memory_of_the_system(tmp_path: Path) -> None:
+    """It took 15 pieces for every message."""
+    source = tmp_path / "counter.c"
+    source.write_text(COUNTER)
+    counter = compiled(tmp_path, source, words=("-shared", "-fPIC", "-ftls-model=initial-exec"))
+    out = subprocess.run(
+        [sys.executable, "-c", CODES],
+        env={**environment(), "LD_PRELOAD": str(counter)},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    assert int(out.stdout) < 100

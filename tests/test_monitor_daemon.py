@@ -39,6 +39,7 @@ class Arm:
         self.script, self.quantum = script, Quantum.none(6)
         self.daemon: Daemon | None = None
         self.closed = self.dropped = 0
+        self.begun, self.given, self.pace = time.time() - 2.0, 0, DT  # of the samples' stamps, however fast the script runs
 
     def next(self, timeout: float) -> Sample | None:
         if not self.script:
@@ -51,7 +52,8 @@ class Arm:
         if step is None:
             time.sleep(timeout)
             return None
-        return replace(step, t=time.time())
+        self.given += 1
+        return replace(step, t=self.begun + self.pace * self.given)
 
     def counters(self) -> dict[str, int]:
         return {}
@@ -141,7 +143,7 @@ def never() -> SampleSource:
 
 
 def test_states_of_a_quiet_life(make: Callable[..., Made]) -> None:
-    daemon, _, wire = make([None, *samples(), *[None] * 15], publish={"recover_s": 0.0, "evidence_min_s": 0.0})
+    daemon, _, wire = make([None, *samples(60), *[None] * 15], publish={"recover_s": 0.0, "evidence_min_s": 0.0})
     assert daemon.run(never) == 0
     daemon.close()
     words = [w for w in wire.words if w is not State.OK]
@@ -151,7 +153,7 @@ def test_states_of_a_quiet_life(make: Callable[..., Made]) -> None:
     assert stale["flags"] & Flag.BUS_STALE and stale["stop0_provable"] == 0
     seqs = [s["seq"] for s in wire.states]
     assert seqs == list(range(len(seqs))) and len({s["boot_id"] for s in wire.states}) == 1
-    assert len(wire.states) >= 1 + 20 + 15, "a heartbeat goes out when no sample comes"
+    assert len(wire.states) >= 1 + 60 + 15, "a heartbeat goes out when no sample comes"
     assert wire.slow["state/json"][-1]["state"] == "SHUTDOWN"
     kinds = [e["kind"] for e in wire.slow["event"]]
     assert kinds[0] == "bus" and "started" in kinds and kinds[-1] == "stopped", kinds
@@ -234,6 +236,10 @@ def test_a_reset_of_a_violation_clears_no_emergency_behind_it(make: Callable[...
     assert (dismissed["cleared"], dismissed["emergencies"]) == (0, {"arm_3_joint": "0x2310"})
     source.decoder.frame(*emergency)
     assert ordered() == (False, both), "an order that was under way when it came is not about it"
+    time.sleep(0.3)
+    source.decoder.frame(0x085, b"\x10\x43\x03\0\0\0\0\0", time.time())
+    assert ordered() == (False, {"arm_3_joint": 0x4310}), "nor about another emergency of the same drive"
+    both = {"arm_3_joint": 0x4310}
     # another bus in its place has not heard it, and is told
     opened = CanSource(Silent(), load_profile("lwa4p/monitor"), DT)
     daemon.source = NoSource(load_profile("lwa4p/monitor"), time.monotonic() + 60)
@@ -369,3 +375,23 @@ def test_a_violation_on_the_live_page(make: Callable[..., Made], browser: Any) -
         loop.join()
         page.shutdown()
         page.server_close()
+
+
+@pytest.mark.parametrize(("pace", "good"), [(1.0, True), (1.05, False)])
+def test_there_is_no_ok_before_it_is_known_how_fast_samples_come(make: Callable[..., Made], pace: float, good: bool) -> None:
+    """Of a bus of another cycle than the model's the first ones were OK, until enough had come to tell."""
+    daemon, arm, wire = make(samples(60), publish={"recover_s": 0.0, "evidence_min_s": 0.0})
+    arm.pace = pace * DT
+    daemon.run(never)
+    assert bool({State.OK, State.DEGRADED} & set(wire.words)) == good
+    assert any("whether samples come at the model's steps" in t["why"] for t in wire.slow["state/json"])
+
+
+def test_a_model_whose_file_became_another_while_it_was_read_is_not_taken(make: Callable[..., Made], tmp_path: Path) -> None:
+    """Who asks the monitor for its model gets the one that is watched with."""
+    daemon, _, wire = make([])
+    read = save_model(known_model(horizon=0.2), tmp_path / "as_it_was.json")
+    daemon.reloading.load = lambda: read
+    daemon.reloading.asked = True
+    assert wait(lambda: daemon.cycle() or [e for e in wire.slow["event"] if e["kind"].startswith("reload")], 10.0)  # type: ignore[func-returns-value]
+    assert "became another file while it was read" in wire.slow["event"][-1]["why"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -15,7 +16,7 @@ import pytest
 
 from monitor_arm import known_model, meta, motion, with_torque_scaled
 from monitor_process import PREFIX, Ear, PythonReading, expected, free_port, listens, running, stopset, write_config
-from patience import wait
+from patience import Granted, rest, wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError
 from stopset.monitor.config import load_config
@@ -210,3 +211,24 @@ def test_what_runs_until_it_is_ended_ends_in_order(place: Place, how: signal.Sig
         (_, err), (out, complaint) = watch.communicate(timeout=60), replay.communicate(timeout=60)
     assert (watch.returncode, err) == (0, "")
     assert (replay.returncode, out, complaint) == (0, "ended\n", "")
+
+
+def test_a_bus_that_takes_its_time_to_open_holds_up_no_heartbeat(place: Place, tmp_path: Path) -> None:
+    """Somebody listens where the bus was, and says nothing: the try to open it took 5 s, and nothing was published meanwhile."""
+    model_path, recording, _ = place(None)
+    bus, port = free_port(), free_port()
+    config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
+    words, good = ("replay", str(recording), "--to", f"hub:{bus}", "--loop"), {State.OK, State.DEGRADED}
+    with running("monitor", "--config", str(config)) as monitor, Ear(port) as ear, Granted() as granted:
+        with running(*words):
+            assert ear.wait(lambda: good & set(ear.states[-5:]))
+        with socket.create_server(("127.0.0.1", bus)):
+            assert ear.wait(lambda: ear.states[-1] is State.FAULT)
+            begun = len(ear.raw)
+            rest(2.0)
+            apart = time.time() - time.monotonic()
+            made = [unpack(d)["t_pub_ns"] * 1e-9 - apart for d in ear.raw[begun:]]
+            assert max(granted.between(a, b) for a, b in itertools.pairwise([*made, time.monotonic()])) < 0.5
+            assert monitor.poll() is None and {State.FAULT} == set(ear.states[begun:])
+        with running(*words):
+            assert ear.wait(lambda: good & set(ear.states[-5:])), "and when it is there again it is used"

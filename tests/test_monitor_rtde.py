@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+import signal
 import subprocess
 import sys
 import time
@@ -183,6 +184,14 @@ def test_the_monitor_judges_what_a_controller_says(tmp_path: Path) -> None:
             assert ear.wait(lambda: ear.states[-1] is State.UNKNOWN and "safety status is 3" in ear.twins[-1]["why"])
             controller.state = controller_rows(good)
             assert ear.wait(lambda: ear.states[-1] in judged)
+            # a model that is not of such a controller is refused while it runs, as it is at the start
+            watched = (tmp_path / "arm.model.json").read_bytes()
+            save_model(replace(known_model(), effort="compensated_torque"), tmp_path / "arm.model.json")
+            monitor.send_signal(signal.SIGHUP)
+            assert ear.wait(lambda: [e for e in list(ear.events) if e["kind"] in ("reloaded", "reload_refused")])
+            (event,) = [e for e in list(ear.events) if e["kind"] in ("reloaded", "reload_refused")]
+            assert event["kind"] == "reload_refused" and "takes compensated_torque" in event["why"]
+            (tmp_path / "arm.model.json").write_bytes(watched)
             controller.hang_up()
             assert ear.wait(lambda: judged.isdisjoint(ear.states[-1:]), 5.0)
             assert ear.wait(lambda: ear.states[-1] in judged), ear.twins[-1]

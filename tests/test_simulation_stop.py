@@ -9,7 +9,7 @@ from core_calls import mass_and_bias, solve_inclusion
 from stopset.offline.description import robot_from_text
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torque, mass_matrix, torque
-from stopset.simulation import StoppingArm, simulate_stop
+from stopset.simulation import StoppingArm, simulate_stop, simulate_stops
 from stopset.types import Array
 
 # both sides sum some 10^3 products of order 10^2 in double precision
@@ -89,6 +89,51 @@ def test_the_inclusion_holds_whoever_sticks(n: int) -> None:
         assert np.all(w[mode == 0] == 0.0)
         seen |= set(np.sign(w).tolist())
     assert seen == {-1.0, 0.0, 1.0}
+
+
+def many(count: int, seed: int) -> tuple[StoppingArm, Array, Array, Array]:
+    """Stops that differ in everything: arms, starts, disturbances."""
+    rng = np.random.default_rng(seed)
+
+    def near(x: Array) -> Array:
+        return np.asarray(x * rng.uniform(0.7, 1.3, (count, *x.shape)))
+
+    times = np.full(6, 0.02)
+    arms = StoppingArm(ARM.chain, near(ARM.pi), near(ARM.rotor), near(FC), near(FV), near(BRAKE), near(times), near(times))
+    return arms, rng.uniform(-3, 3, (count, 6)), rng.uniform(-1.3, 1.3, (count, 6)), rng.uniform(-9, 9, (count, 8, 6))
+
+
+def test_stops_side_by_side_are_those_one_by_one() -> None:
+    """To the bit, whatever stands beside them, some of them over long before others: no lane forgets or mixes anything."""
+    arms, q0, v0, u = many(61, 8)
+    v0[::5] *= 0.01
+    q, v = simulate_stops(arms, q0, v0, 5e-4, 300, u)
+    for k in range(61):
+        one = StoppingArm(arms.chain, *(x[k] for x in arms[1:]))
+        alone = simulate_stop(one, q0[k], v0[k], 5e-4, 300, u[k])
+        assert alone[0].tobytes() == q[k].tobytes() and alone[1].tobytes() == v[k].tobytes()
+
+
+def test_a_step_of_four_is_that_of_the_dynamics_of_one() -> None:
+    """Without friction a step is one linear system, here of mass and bias as they are computed for a single arm."""
+    arms, q0, v0, u = many(40, 9)
+    zero, late, h = np.zeros((40, 6)), np.full((40, 6), 9.0), 5e-4
+    q, v = simulate_stops(arms._replace(fc=zero, fv=zero, brake_delay=late), q0, v0, h, 1, u[:, :1])
+    for k in range(40):
+        M, bias = mass_and_bias(ARM.chain, arms.pi[k], q0[k] + 0.5 * h * v0[k], v0[k])
+        w = v0[k] + np.linalg.solve(M + np.diag(arms.rotor[k]), h * (u[k, 0] - bias))
+        assert np.abs(v[k, 1] - w).max() < ROUNDING and np.abs(q[k, 1] - q0[k] - 0.5 * h * (v0[k] + w)).max() < ROUNDING
+
+
+def test_an_arm_at_rest_starts_again_when_the_disturbance_says_so() -> None:
+    """All brakes closed, all joints at rest, until a piece of the disturbance is more than they hold."""
+    arms, q0, v0, u = many(5, 10)
+    u[:, 5:] = 0.0
+    u[:, 6, 2] = 2.0 * (arms.brake_torque + arms.fc)[:, 2] + 100.0
+    q, v = simulate_stops(arms, q0, v0, 5e-4, 800, u)
+    assert np.all(v[:, 599] == 0.0)  # the seventh of eight pieces begins with step 600
+    assert np.all(v[:, 601, 2] > 0.0) and np.all(np.diff(q[:, 600:650, 2], axis=1) > 0.0)
+    assert np.all(v[:, 790, 2] < v[:, 700, 2])
 
 
 def test_smooth_motion_agrees_with_an_independent_integrator() -> None:

@@ -20,7 +20,7 @@ from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.start import Start
-from stopset.reach.stops.tube import ENDLESS, OK, Plant, Stride, march
+from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Stride, march
 from stopset.reach.stops.tubes import KNOTS, expected_stop, march_box, tubes_of
 from stopset.robot.rigid import Chain, mass_matrix
 from stopset.sets import Box
@@ -289,3 +289,14 @@ def test_an_arm_that_falls_on_is_given_up_soon() -> None:
     q, none = np.array([0.0, 0.3, 0.4, 0.2, 0.1, 0.0]), np.zeros(6)
     tube = march(weak, Box(q, q), Box(none, none), Stride(1e-3, 3000), ALL_PARTS, energetic=True)
     assert tube.end == ENDLESS and len(tube.t) < 200
+
+
+def test_numbers_that_overflow_are_no_rest_and_end_a_tube_at_once() -> None:
+    """Speeds and angles of a ramp that fails are a wide box: claims there grow beyond all numbers, and what is not a number holds no claim."""
+    s = StopBounds.of(ur10e_like(), (0.0, 12.5)).setting
+    assert s is not None
+    q, v = np.array([0.0, 0.3, 0.4, 0.2, 0.1, 0.0]), np.full(6, 1.5)
+    for wide in (0.3, 0.5, 0.8):
+        tube = march(s.plant, Box(q - wide, q + wide), Box(-v, v), Stride(1e-3, 500), ALL_PARTS)
+        assert tube.end == UNBOUNDED and len(tube.t) < 10
+        assert np.isfinite([tube.v_lo, tube.v_hi]).all()

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stop_sampling import DT, draw, inverse_inertia, point_motion, sample_stops, start_of
+from stop_sampling import DT, Measured, draws, point_motion, sample_stops
 from stopset.artifact import Model
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, Slices, slices
@@ -19,7 +19,7 @@ from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import march_box
 from stopset.robot.rigid import link_frames
-from stopset.simulation.stop import StoppingArm, simulate_stop
+from stopset.simulation.stop import simulate_stops
 from stopset.types import Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -71,16 +71,13 @@ def test_what_holds_the_energy_is_braked() -> None:
 
 def travels(s: Setting, q: Array, dq: Array, tube: Tube, count: int) -> float:
     """Largest of sum_i (all of the way of joint i from a knot on) / way_i over sampled stops and knots."""
-    n, rng = s.model.n, np.random.default_rng(5)
-    W, sign, steps, worst = inverse_inertia(s.plant, q), np.where(dq >= 0.0, 1.0, -1.0), int(np.ceil(tube.t[-1] / DT)) + 2, 0.0
-    for k in range(count):
-        x = draw(s.plant, k % 5, sign, W, rng)
-        q0, v0 = start_of(x, k % 5, q, dq, s.noise.radius[:n], s.noise.radius[n:], rng)
-        arm = StoppingArm(s.plant.chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise)
-        qs, _ = simulate_stop(arm, q0, v0, DT, steps, x.u)
+    n, steps, worst = s.model.n, int(np.ceil(tube.t[-1] / DT)) + 2, 0.0
+    at = Measured(q, dq, s.noise.radius[:n], s.noise.radius[n:])
+    x = draws(s.plant, at, np.arange(count) % 5, np.random.default_rng(5))
+    for qs in simulate_stops(x.arms, x.q0, x.v0, DT, steps, x.u)[0]:
         gone = np.vstack([np.zeros(n), np.abs(np.diff(qs, axis=0)).cumsum(axis=0)])
-        at = np.minimum(np.ceil(tube.t / DT).astype(int), steps)  # a little later than the knot: no more is left
-        worst = max(worst, float(((gone[-1] - gone[at]) / tube.travel_left).sum(axis=1).max()))
+        knots = np.minimum(np.ceil(tube.t / DT).astype(int), steps)  # a little later than the knot: no more is left
+        worst = max(worst, float(((gone[-1] - gone[knots]) / tube.travel_left).sum(axis=1).max()))
     return worst
 
 

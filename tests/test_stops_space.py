@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stop_sampling import DT, draw, inverse_inertia, point_motion, start_of
+from stop_sampling import DT, Measured, draws, point_motion
 from stopset.errors import NotCovered
 from stopset.reach.stops import StopBound, StopBounds
 from stopset.reach.stops.cartesian import Slices
 from stopset.robot.rigid import link_frames
-from stopset.simulation.stop import StoppingArm, simulate_stop
+from stopset.simulation.stop import simulate_stops
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
@@ -38,12 +38,10 @@ def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[
     fast = np.array([bound.directed_speed(d) for d in directions])
     far = np.array([bound.directed_distance(d) for d in directions])
     closing = np.array([bound.speed_towards(x) for x in PLACES])
-    sign, W, rng = np.where(dq >= 0, 1.0, -1.0), inverse_inertia(s.plant, q), np.random.default_rng(2)
-    for k in range(stops):
-        x = draw(s.plant, k % 5, sign, W, rng)
-        q0, v0 = start_of(x, k % 5, q, dq, s.noise.radius[:6], s.noise.radius[6:], rng)
-        steps = int(bound.time.max() / DT) + 1
-        qs, vs = simulate_stop(StoppingArm(chain, x.pi, x.rotor, x.F, x.D, x.B, x.delay, x.rise), q0, v0, DT, steps, x.u)
+    at = Measured(q, dq, s.noise.radius[:6], s.noise.radius[6:])
+    drawn = draws(s.plant, at, np.arange(stops) % 5, np.random.default_rng(2))
+    moved = simulate_stops(drawn.arms, drawn.q0, drawn.v0, DT, int(bound.time.max() / DT) + 1, drawn.u)
+    for q0, qs, vs in zip(drawn.q0, *moved, strict=True):
         R0, o0 = link_frames(chain, q0)
         ends0 = np.array([*o0[1:], o0[-1] + R0[-1] @ robot.tip])
         for qk, vk in zip(qs, vs, strict=True):

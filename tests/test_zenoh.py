@@ -32,6 +32,7 @@ from stopset.monitor.links import zenoh_link
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.orders import Orders
 from stopset.monitor.replay import JointStateSink, play
+from stopset.monitor.sample import Sample
 from stopset.monitor.source import GAP, JointStateSource
 from stopset.monitor.verdict import Conformance
 from stopset.monitor.viewer import View, ViewerPage, terminal
@@ -432,3 +433,28 @@ def test_reset_by_command_waits_for_the_monitors_word(capsys: pytest.CaptureFixt
         assert len(heard) == before
     finally:
         daemon.close()
+
+
+def test_what_a_joint_lacks_is_no_number_in_ros_2() -> None:
+    """Its broadcaster publishes NaN for a state interface that a joint has not: all of such an arm's messages were refused."""
+    names, nan = (*JOINTS, "gripper"), float("nan")
+    row = tuple(float(i) for i in range(len(names)))
+    no_gripper, none = (*row[:-1], nan), (nan,) * len(names)
+
+    def heard(q: tuple[float, ...], dq: tuple[float, ...], tau: tuple[float, ...]) -> tuple[Sample | None, list[str]]:
+        source = JointStateSource(JOINTS, 0.004)
+        source.take("", to_cdr(JointState(4_000_000, names, q, dq, tau)))
+        return source.next(0.0), source.complaints()
+
+    found, said = heard(no_gripper, no_gripper, no_gripper)
+    assert found is not None and found.tau is not None and list(found.tau) == list(row[:-1]) and not said, (
+        "a gripper is not the arm's"
+    )
+    found, said = heard(row, row, none)
+    assert found is not None and found.tau is None and not said, "as a message without effort"
+    for q, dq, tau, words in (
+        (none, row, row, f"no position of {', '.join(JOINTS)}"), (row, (), row, f"no velocity of {', '.join(JOINTS)}"),
+        (row, row, (nan, *row[1:]), f"no effort of {JOINTS[0]}; expected"),
+    ):  # fmt: skip
+        found, (said, *_) = heard(q, dq, tau)
+        assert found is None and words in said and "look at the sender's state interfaces" in said

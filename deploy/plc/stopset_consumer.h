@@ -33,6 +33,8 @@ typedef struct {
   uint64_t answered; /* the nonce before */
   int64_t beside;    /* when another living sender was heard beside the one that is believed; if have_beside */
   int have_beside;
+  int64_t refused_at; /* when a message was refused last, and why; if that is not 0 */
+  int refusal;
 } stopset_consumer;
 
 /* ---- SHA-256 (FIPS 180-4) and HMAC (RFC 2104) ---- */
@@ -144,8 +146,10 @@ static void stopset_prove(stopset_consumer *c, const stopset_state *m, int64_t n
   c->nonce = 0;
 }
 
-static int stopset_refuse(stopset_consumer *c, int fault) {
+static int stopset_refuse(stopset_consumer *c, int fault, int64_t now) {
   c->refused[fault]++;
+  c->refused_at = now;
+  c->refusal = fault;
   return fault;
 }
 
@@ -153,8 +157,8 @@ static int stopset_refuse(stopset_consumer *c, int fault) {
 static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int64_t now) {
   stopset_state m;
   int fault, answer = 0, lives = 0, same_boot;
-  if (!stopset_read(data, n, &m)) return stopset_refuse(c, STOPSET_FAULT_UNREADABLE);
-  if ((fault = stopset_stranger(c, &m, data)) != 0) return stopset_refuse(c, fault);
+  if (!stopset_read(data, n, &m)) return stopset_refuse(c, STOPSET_FAULT_UNREADABLE, now);
+  if ((fault = stopset_stranger(c, &m, data)) != 0) return stopset_refuse(c, fault, now);
   for (unsigned i = 0; i < STOPSET_NONCES; i++) {
     answer |= c->nonce && m.nonces[i] == c->nonce;
     lives |= c->answered && m.nonces[i] == c->answered;
@@ -165,12 +169,12 @@ static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int6
       c->beside = now;
       c->have_beside = 1;
     }
-    return stopset_refuse(c, STOPSET_FAULT_UNPROVEN);
+    return stopset_refuse(c, STOPSET_FAULT_UNPROVEN, now);
   }
-  if (!same_boot && !answer) return stopset_refuse(c, STOPSET_FAULT_UNPROVEN);
+  if (!same_boot && !answer) return stopset_refuse(c, STOPSET_FAULT_UNPROVEN, now);
   if (c->have_last && m.boot_id == c->last.boot_id) {
     uint32_t step = m.seq - c->last.seq;
-    if (step == 0u || step >= 0x80000000u) return stopset_refuse(c, STOPSET_FAULT_REPEATED);
+    if (step == 0u || step >= 0x80000000u) return stopset_refuse(c, STOPSET_FAULT_REPEATED, now);
     c->lost += step - 1u;
   }
   if (answer)
@@ -186,12 +190,10 @@ static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int6
 static int stopset_fault(const stopset_consumer *c, int64_t now) {
   const stopset_state *m = &c->last;
   int64_t oldest;
-  if (!c->have_last) {
-    for (unsigned i = 0; i < sizeof c->refused / sizeof *c->refused; i++)
-      if (c->refused[i]) return STOPSET_FAULT_UNPROVEN;
-    return STOPSET_FAULT_NO_MESSAGE;
+  if (!c->have_last || now - c->arrived > c->expect.watchdog_ns) {
+    if (c->refusal && now - c->refused_at <= c->expect.watchdog_ns) return c->refusal; /* somebody speaks, but not as is expected */
+    return c->have_last ? STOPSET_FAULT_SILENT : STOPSET_FAULT_NO_MESSAGE;
   }
-  if (now - c->arrived > c->expect.watchdog_ns) return STOPSET_FAULT_SILENT;
   if (now - c->proved > STOPSET_PROOF_LIFE_NS || (c->have_beside && now - c->beside <= STOPSET_PROOF_LIFE_NS))
     return STOPSET_FAULT_UNPROVEN;
   switch (m->state) {

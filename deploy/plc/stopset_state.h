@@ -51,8 +51,8 @@
 #define STOPSET_FAULT_UNREADABLE 2 /* a message was damaged or of another version */
 #define STOPSET_FAULT_FOREIGN 3 /* a message of another data id */
 #define STOPSET_FAULT_FORGED 4 /* a message whose authentication code is not of a key held here */
-#define STOPSET_FAULT_OTHER_MODEL 5 /* a message of another model */
-#define STOPSET_FAULT_OTHER_CONFIG 6 /* a message of another configuration */
+#define STOPSET_FAULT_OTHER_MODEL 5 /* a message of another model than is expected */
+#define STOPSET_FAULT_OTHER_CONFIG 6 /* a message of another configuration than is expected: a monitor keeps the one it was started with */
 #define STOPSET_FAULT_REPEATED 7 /* a message repeated or out of order */
 #define STOPSET_FAULT_UNPROVEN 8 /* no answer to my challenge by this daemon */
 #define STOPSET_FAULT_SILENT 9 /* silent */

@@ -75,6 +75,8 @@ def _capabilities(identifier: str, fmi: int, *, cs: bool) -> dict[str, str]:
             "providesIntermediateUpdate",
         )
         out |= dict.fromkeys(early, "true")
+    if fmi == 3 and not cs:
+        out["needsCompletedIntegratorStep"] = "true"  # samples are looked at there; FMI 2 calls it unless told otherwise
     return out
 
 

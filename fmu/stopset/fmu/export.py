@@ -19,8 +19,9 @@ from stopset.artifact.signature import ORIGIN, revision_of
 from stopset.errors import NotCovered, OutputError
 from stopset.files import writable, write_bytes
 from stopset.fmu.build import PLATFORMS, binaries, chosen, universal
+from stopset.fmu.card import card
 from stopset.fmu.check import SUMS
-from stopset.fmu.description import NOTICE, build_description, description
+from stopset.fmu.description import build_description, description
 from stopset.fmu.reference import reference_texts
 from stopset.fmu.sources import UNITS, sources
 from stopset.fmu.terminals import icon, terminals
@@ -97,7 +98,7 @@ def archive(model: Model, contents: Contents = ALL, say: Progress = silent) -> b
     files["documentation/licenses/license.txt" if fmi == 3 else "documentation/license.txt"] = _licence().encode()
     said = {"robot": model.robot.name, "model_sha256": model.sha256, "revision": revision_of(model)}
     files[ORIGIN] = (json.dumps(said, indent=1) + "\n").encode()
-    files["documentation/index.html"] = _documentation(model).encode()
+    files["documentation/index.html"] = card(model, v.categories).encode()
     if contents.reference:
         files |= {f"documentation/{file}": content.encode() for file, content in reference_texts(model).files(name).items()}
         say("reference results: computed")
@@ -142,12 +143,4 @@ def _licence() -> str:
     return (
         "Written by stopset, Apache-2.0 (https://www.apache.org/licenses/LICENSE-2.0).\n"
         "The FMI headers in sources/ are by the Modelica Association, 2-Clause BSD; each holds its licence.\n"
-    )
-
-
-def _documentation(model: Model) -> str:
-    return (
-        "<!DOCTYPE html><html><head><meta charset='utf-8'><title>stopset FMU</title></head><body>"
-        f"<h1>{model.robot.name}</h1><p>{NOTICE}</p><p>Model file SHA-256: {model.sha256 or 'not saved'}</p>"
-        f"<p>{model.guarantee.text}</p></body></html>\n"
     )

@@ -237,8 +237,12 @@ def _conditions(m: Model) -> list[Variable]:
         what_then = "SS1-t: power is taken so long after the request whatever happens; negative: never"
         failing.append(Variable("ss1_off_after", "SS1_OFF_AFTER", "Real", "parameter", "s", what_then, after, "tunable"))
     return [
-        *_joints(m, _real("q_start", "parameter", "rad", "position at the start, {}", "fixed"), start_posture(m)),
-        *_joints(m, _real("dq_start", "parameter", "rad/s", "velocity at the start, {}", "fixed"), 0.0),
+        *_joints(
+            m,
+            _real("q_start", "parameter", "rad", "position at the start, unless one is measured, {}", "fixed"),
+            start_posture(m),
+        ),
+        *_joints(m, _real("dq_start", "parameter", "rad/s", "velocity at the start, unless one is measured, {}", "fixed"), 0.0),
         Variable("payload_mass", "PAYLOAD_MASS", "Real", "parameter", "kg", "load at the flange", 0.0, "tunable", lo=0.0),
         *com,
         Variable("payload_lo", "PAYLOAD_LO", "Real", "parameter", "kg", carried.format("least"), d.payload[0], "tunable"),
@@ -299,7 +303,7 @@ def _switches(m: Model, kinds: Sequence[StopCategory]) -> list[Variable]:
         ("covered", "output", "whether the bounds were tested here: domain, horizon, parameters as identified", None),
         *((f"{c.stem}_certified", "output", f"whether the bounds of {c.what} are proven for this state", None) for c in kinds),
         *((("ss1_monitored", "parameter", monitored, braking.monitored),) if braking is not None else ()),
-        ("restart", "parameter", "predict anew from the measured state when the horizon is over", False),
+        ("restart", "parameter", "predict anew from the measured state when the horizon is over", True),
     )
     out = []
     for name, causality, what, start in integers:

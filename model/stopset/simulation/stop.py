@@ -21,7 +21,8 @@ from stopset.types import Array
 
 
 class StoppingArm(NamedTuple):
-    """An arm whose power is cut; all joint arrays are (n,)."""
+    """An arm whose power is cut, all joint arrays (n,); or several of one chain for `simulate_stops`, all arrays but the chain with
+    one more axis in front."""
 
     chain: Chain  # rigid body of `stopset.robot`
     pi: Array  # (n, 10), with the payload
@@ -39,13 +40,23 @@ def simulate_stop(arm: StoppingArm, q0: Array, v0: Array, dt: float, steps: int,
     The cut is at t = 0; ``disturbance``: (pieces, n) torque u [N m] on the joints, constant over equal pieces of the horizon
     (one zero row for none).
     """
-    n = len(arm.pi)
-    rows = [given(x) for x in (*arm[2:], q0, v0)]
-    if any(x.shape != (n,) for x in rows) or disturbance.ndim != 2 or disturbance.shape[1] != n:
-        raise ValueError(f"a stop of {[x.shape for x in rows]} with disturbance {disturbance.shape} for {n} joints")
-    body = arm_struct(arm.chain, arm.pi)
-    plant = ffi.new("StopsetSimStop *", (body[0], *(view(x) for x in rows[:6])))
-    q, v, u = np.empty((steps + 1, n)), np.empty((steps + 1, n)), given(disturbance)
-    time = ffi.new("StopsetSimTime *", (dt, steps, len(u), view(u)))
-    check(lib.stopset_sim_stop(plant, view(rows[6]), view(rows[7]), time, view(q), view(v)))
+    one = StoppingArm(arm.chain, *(x[None] for x in arm[1:]))
+    q, v = simulate_stops(one, q0[None], v0[None], dt, steps, disturbance[None])
+    return q[0], v[0]
+
+
+def simulate_stops(arms: StoppingArm, q0: Array, v0: Array, dt: float, steps: int, disturbance: Array) -> tuple[Array, Array]:
+    """`simulate_stop` of several stops, four of which cost little more than one: (count, steps + 1, n) each, from ``q0, v0``
+    (count, n) under ``disturbance`` (count, pieces, n). The same bits as one by one."""
+    count, n = len(q0), len(arms.chain.p)
+    pi, rows = given(arms.pi), [given(x) for x in (*arms[2:], q0, v0)]
+    shapes = [x.shape for x in (*rows, disturbance, pi)]
+    if any(x != (count, n) for x in shapes[:-2]) or disturbance.shape[::2] != (count, n) or pi.shape != (count, n, 10):
+        raise ValueError(f"stops of {shapes} for {n} joints")
+    q, v, u = np.empty((count, steps + 1, n)), np.empty((count, steps + 1, n)), given(disturbance)
+    if count:
+        body = arm_struct(arms.chain, pi[0])[0]  # the parameters of all stand behind the first
+        plants = ffi.new("StopsetSimStops *", (count, body, *(view(x) for x in rows[:6])))
+        time = ffi.new("StopsetSimTime *", (dt, steps, u.shape[1], view(u)))
+        check(lib.stopset_sim_stops(plants, view(rows[6]), view(rows[7]), time, view(q), view(v)))
     return q, v

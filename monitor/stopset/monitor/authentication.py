@@ -8,11 +8,15 @@ it first at the daemon, then take the old one away. No key file, no code: then o
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from stopset.errors import StopsetError
 from stopset.monitor.layout import MAC
@@ -25,6 +29,22 @@ class KeyFileError(StopsetError):
     """The key file cannot be used: mend it."""
 
 
+def _best_sha256() -> Callable[[bytes], Any]:
+    for name in ("_sha2", "_sha256"):  # since Python 3.12, and before
+        if find_spec(name):
+            own: Callable[[bytes], Any] = import_module(name).sha256
+            return own
+    return hashlib.sha256
+
+
+_SHA256 = _best_sha256()
+
+
+def _sha256(data: bytes = b"") -> Any:
+    """The interpreter's own, where it has one: its states lie in Python's pools. OpenSSL's takes memory of the system for every message."""
+    return _SHA256(data)
+
+
 @dataclass(frozen=True, slots=True)
 class Key:
     """One secret; ``key_id`` names it in the message."""
@@ -34,7 +54,7 @@ class Key:
     _begun: hmac.HMAC = field(init=False, compare=False)  # has taken the secret in, once for all messages
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_begun", hmac.new(self.secret, digestmod="sha256"))
+        object.__setattr__(self, "_begun", hmac.new(self.secret, digestmod=_sha256))
 
     def code(self, data: bytes | bytearray | memoryview) -> bytes:
         """The authentication code of ``data``."""

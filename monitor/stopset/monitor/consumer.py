@@ -44,7 +44,8 @@ class Fault(IntEnum):
 SAYS = {
     Fault.NONE: "", Fault.NO_MESSAGE: "no message yet", Fault.UNREADABLE: "a message was damaged or of another version",
     Fault.FOREIGN: "a message of another data id", Fault.FORGED: "a message whose authentication code is not of a key held here",
-    Fault.OTHER_MODEL: "a message of another model", Fault.OTHER_CONFIG: "a message of another configuration",
+    Fault.OTHER_MODEL: "a message of another model than is expected",
+    Fault.OTHER_CONFIG: "a message of another configuration than is expected: a monitor keeps the one it was started with",
     Fault.REPEATED: "a message repeated or out of order", Fault.UNPROVEN: "no answer to my challenge by this daemon",
     Fault.SILENT: "silent", Fault.STALE: "the data may be older than they are valid for",
     Fault.AHEAD: "the data are stamped later than now", Fault.NO_SUCH_STATE: "unknown state code",
@@ -81,6 +82,8 @@ class Consumer:
     lost: int = 0
     refused: Counter[Fault] = field(default_factory=Counter)
     why: Fault = Fault.NO_MESSAGE
+    _refusal: Fault = Fault.NO_MESSAGE  # of the message refused last, and when
+    _refused_at: int | None = None
     _nonce: int = 0  # the one that waits for its answer, 0 none
     _asked: int = 0
     _answered: int = 0  # the one before it
@@ -103,21 +106,21 @@ class Consumer:
         try:
             m = unpack(data)
         except BusError:
-            return self._refuse(Fault.UNREADABLE)
+            return self._refuse(Fault.UNREADABLE, now)
         if fault := self._stranger(m, data):
-            return self._refuse(fault)
+            return self._refuse(fault, now)
         alive = self.last is not None and now - self.arrived <= self.watchdog
         answer = self._nonce != 0 and self._nonce in m["nonces"]
         if m["boot_id"] != self._boot and alive:  # another sender beside the one that is there
             if answer or (self._answered and self._answered in m["nonces"]):
                 self._beside = now  # which lives too: two monitors have this data id, and one of them may watch another arm
-            return self._refuse(Fault.UNPROVEN)
+            return self._refuse(Fault.UNPROVEN, now)
         if m["boot_id"] != self._boot and not answer:
-            return self._refuse(Fault.UNPROVEN)
+            return self._refuse(Fault.UNPROVEN, now)
         if self.last is not None and m["boot_id"] == self.last["boot_id"]:
             step = (m["seq"] - self.last["seq"]) & 0xFFFFFFFF
             if not 0 < step < 1 << 31:
-                return self._refuse(Fault.REPEATED)
+                return self._refuse(Fault.REPEATED, now)
             self.lost += step - 1
         if answer:
             self._prove(m, now)
@@ -151,8 +154,9 @@ class Consumer:
     def _drift(self, now: int) -> int:
         return max(0, now - self._proved) * DRIFT_PPM // 1_000_000
 
-    def _refuse(self, fault: Fault) -> Fault:
+    def _refuse(self, fault: Fault, now: int) -> Fault:
         self.refused[fault] += 1
+        self._refusal, self._refused_at = fault, now
         return fault
 
     def state(self, now: int) -> State:
@@ -162,10 +166,10 @@ class Consumer:
 
     def _fault(self, now: int) -> Fault:
         m = self.last
-        if m is None:
-            return Fault.UNPROVEN if self.refused else Fault.NO_MESSAGE
-        if now - self.arrived > self.watchdog:
-            return Fault.SILENT
+        if m is None or now - self.arrived > self.watchdog:
+            if self._refused_at is not None and now - self._refused_at <= self.watchdog:
+                return self._refusal  # somebody speaks, but not as is expected
+            return Fault.NO_MESSAGE if m is None else Fault.SILENT
         if now - self._proved > PROOF_LIFE or (self._beside is not None and now - self._beside <= PROOF_LIFE):
             return Fault.UNPROVEN
         if m["state"] not in tuple(State) or m["state"] == State.NEVER_SENT:

@@ -44,9 +44,11 @@ from stopset.monitor.watch import check_cycle
 
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it
 PATIENCE = 0.01  # [s] longest wait for a sample before the heartbeat goes out without one
+AGAIN = 0.5  # [s] between two tries to open a lost bus
 FALLBACK_IN_FORCE = int(Flag.FALLBACK_IN_FORCE)
 HIDDEN = 2.0  # [s] that an emergency must have been said, not hidden by a violation, before an order can be about it
 LATE = 3  # samples in a row that came later than they are valid for
+Reopen = Callable[[], SampleSource | None]  # None: not there yet, ask again
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +109,9 @@ class Daemon:
         if model.n > MAX_JOINTS:
             raise NotCovered(f"the arm has {model.n} joints, the state message carries {MAX_JOINTS}; a wider layout is needed")
         check_cycle(model, self.cycle_s)
-        text = Path(c.model).read_bytes()
+        text = Path(c.model).read_bytes()  # for those who ask for the model
+        if model.sha256.encode() not in text:
+            raise NotCovered(f"{c.model} became another file while it was read; ask for it again")
         watch = watch_for(model, quantum, c.payload_kg, (c.warm[0], c.warm[-1]), self.cycle_s)
         if desk is None:
             about = seen_by(model), c.stops, c.payload_kg, quantum
@@ -168,10 +172,9 @@ class Daemon:
     def _heed(self) -> None:
         """What drives say once is kept before anything else happens."""
         if (drives := drives_of(self.source)) is not None:
-            before = len(self.latch.record.emergencies)
-            self.latch.hear(drives.in_force)
-            if len(drives.in_force) > before:
+            if drives.in_force.items() - self.latch.record.emergencies.items():  # another of the same drive is one too
                 self._unseen = self.clock.monotonic()
+            self.latch.hear(drives.in_force)
 
     def _remind(self) -> None:
         """A source that was just opened has not heard what drives said before."""
@@ -229,7 +232,7 @@ class Daemon:
         stale = since > self.config.publish.stale_ms * 1e-3
         situation = Situation(
             s is not None, self._fault, stale, self._late_in_a_row >= LATE, self.latch.record.why, age, since, s, self.verdict,
-            fresh, numbers, self.pace.why,
+            fresh, numbers, self.pace.fault,
         )  # fmt: skip
         state, flags, why = decide(situation, self.limits)
         state, held, why = self.recovery.hold(state, why, now, ahead)
@@ -333,7 +336,7 @@ class Daemon:
         except Exception:  # noqa: BLE001 - as above; the bare message needs nothing of what has failed
             self.publisher.state(None)
 
-    def run(self, reopen: Callable[[], SampleSource]) -> int:
+    def run(self, reopen: Reopen) -> int:
         """Until stopped; returns the exit code. A lost bus is FAULT until ``reopen`` succeeds."""
         faults = 0
         while not self.stopping:
@@ -353,23 +356,21 @@ class Daemon:
                     return 3
         return 0
 
-    def _lost_bus(self, words: str, reopen: Callable[[], SampleSource]) -> None:
+    def _lost_bus(self, words: str, reopen: Reopen) -> None:
         self._heed()
         with contextlib.suppress(Exception):  # it is lost anyway
             self.source.close()
         self._arrived = float("-inf")
         while not self.stopping:
             self.fail(words)
-            until = self.clock.monotonic() + 0.5
+            until = self.clock.monotonic() + AGAIN
             while self.clock.monotonic() < until and not self.stopping:
-                self._fault, now = words, self.clock.monotonic()
-                self._obey(now)
-                turn = self._situation()
-                self._send(turn)
-                self._slow_messages(now, turn)
-                self.clock.sleep(PATIENCE)
+                self._say_lost(words)
             try:
-                self.source = resumed(reopen(), self.source)
+                while (source := reopen()) is None:
+                    if self._say_lost(words):
+                        return
+                self.source = resumed(source, self.source)
                 self._remind()
                 self.watch.restart()  # a new source counts its cycles anew
                 return
@@ -379,6 +380,16 @@ class Daemon:
                     raise  # it never was there: a wrong name more likely than a late bus
             except Exception as e:  # noqa: BLE001 - whatever a driver raises, the next try may do better
                 words = f"the bus cannot be opened ({type(e).__name__}: {e})"
+
+    def _say_lost(self, words: str) -> bool:
+        """One turn without a bus; whether it was the last."""
+        self._fault, now = words, self.clock.monotonic()
+        self._obey(now)
+        turn = self._situation()
+        self._send(turn)
+        self._slow_messages(now, turn)
+        self.clock.sleep(PATIENCE)
+        return self.stopping
 
     def close(self) -> None:
         """Say SHUTDOWN, release everything."""

@@ -26,7 +26,8 @@ MAX_VALUE = 1e9  # of any angle, speed or torque
 
 @dataclass(frozen=True, slots=True)
 class JointState:
-    """One message: ``stamp_ns`` of the sampling instant; SI values by joint name order."""
+    """One message: ``stamp_ns`` of the sampling instant; SI values by joint name order, NaN where the sender has none: ROS 2's
+    broadcaster says so of an interface that a joint lacks."""
 
     stamp_ns: int
     name: tuple[str, ...]
@@ -52,8 +53,8 @@ def decode(data: bytes) -> JointState:
         raise BusError("joint_states names a joint twice; expected each once: look at the sender")
     if not 0 <= state.stamp_ns < MAX_STAMP_NS:
         raise BusError(f"joint_states is stamped {state.stamp_ns} ns; expected the time since 1970: look at the sender's clock")
-    if not all(abs(x) <= MAX_VALUE for x in (*state.position, *state.velocity, *state.effort)):  # nor is NaN
-        raise BusError(f"joint_states carries a value that is not a number up to {MAX_VALUE:g}; look at the sender")
+    if any(abs(x) > MAX_VALUE for x in (*state.position, *state.velocity, *state.effort)):
+        raise BusError(f"joint_states carries a value beyond {MAX_VALUE:g}; look at the sender")
     return state
 
 

@@ -12,6 +12,7 @@ process but not the machine; they hold for the record whose number they carry.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
@@ -61,8 +62,17 @@ class Unreadable(Exception):
         self.record = record
 
 
+def has_room(record: Any) -> bool:
+    """Whether a slot takes the record."""
+    return _HEAD.size + len(_encoded(record)) <= SLOT - _DIGEST
+
+
+def _encoded(record: Any) -> bytes:
+    return msgspec.json.encode(record, enc_hook=float)
+
+
 def _slot(number: int, record: Any) -> bytes:
-    body = msgspec.json.encode(record, enc_hook=float)
+    body = _encoded(record)
     whole = _HEAD.pack(_MARK, number, len(body)) + body
     if len(whole) > SLOT - _DIGEST:
         raise ValueError(f"the record has {len(body)} bytes, a slot {SLOT}")
@@ -165,7 +175,9 @@ class FileStore:
             if not begun.exists():  # only now: a start that ends in between is a first one still
                 _make(begun, _WORDS)
             self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-            self._counts = os.open(counts, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            if not counts.exists():  # with room for all that is written there later
+                _make(counts, bytes(_COUNTS.size + _DIGEST))
+            self._counts = os.open(counts, os.O_RDWR | os.O_CLOEXEC)
         except OSError as e:
             raise OutputError(
                 f"the journal of the latch {path} cannot be written ({e.strerror}); without it a restart would forget a "
@@ -231,11 +243,15 @@ def _make(path: Path, data: bytes) -> None:
     part = path.with_name(f".{path.name}.{os.getpid()}")
     fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
     try:
-        os.write(fd, data)
+        if os.write(fd, data) != len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(fd)
+        part.rename(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
     finally:
         os.close(fd)
-    part.rename(path)
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

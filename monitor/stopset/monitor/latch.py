@@ -3,13 +3,13 @@ emergency, which is told once, until it is over."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
 
 from stopset.monitor.evidence.cause import Cause, Kind
-from stopset.monitor.journal import Journal, Unreadable
+from stopset.monitor.journal import Journal, Unreadable, has_room
 from stopset.monitor.sample import Sample
 from stopset.monitor.verdict import Conformance, Deviation, Verdict
 
@@ -129,13 +129,20 @@ class Latch:
         if emergencies != self.record.emergencies:
             self.record.emergencies = dict(emergencies)
             if self._journal is not None:
-                self._journal.write(self.record)
+                self._journal.write(self._stored())
 
     def save(self, now: float) -> None:
         """Put what is known on disk."""
         if self._journal is not None:
             self._saved_at, self._saved = now, self.record.count
-            self._journal.write(self.record)
+            self._journal.write(self._stored())
+
+    def _stored(self) -> Record:
+        """The record, without the last entries if a slot has no room for so many: what comes later, an emergency, must not be refused."""
+        stored = self.record
+        while stored.entries and not has_room(stored):
+            stored = replace(stored, entries=stored.entries[:-1])
+        return stored
 
     def keep(self, now: float) -> str:
         """Save a count that has grown, or what the disk has refused; returns the disk's complaint, empty if none."""
@@ -180,7 +187,7 @@ class Latch:
         """Save the last count."""
         if self._journal is not None:
             if self.record.count != self._saved or self._journal.trouble:
-                self._journal.write(self.record)
+                self._journal.write(self._stored())
             self._journal.close()
 
 

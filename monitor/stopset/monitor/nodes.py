@@ -137,7 +137,7 @@ class Nodes:
         if not node.good:
             assert node.state is not None
             return f"is {NAMES.get(node.state, f'in the unknown state 0x{node.state:02X}')}"
-        if self.heartbeat_s and not now - self.heard[node_id] <= self.patience:
+        if self.heartbeat_s and not abs(now - self.heard[node_id]) <= self.patience:
             return f"has sent no heartbeat for {self.patience:g} s"
         return ""
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 LEAST, MOST = 32, 128  # intervals that the pace is found from
 ANOTHER = 0.02  # of the period: farther off is no clock's error but another cycle
 SURE = 4.0  # standard errors of the middle interval, where stamps scatter
+NOT_YET = f"whether samples come at the model's steps is told from {LEAST} intervals; they have not come yet"
 ERROR = (
     1.2533 * 1.4826
 )  # of the middle of N intervals, in their middle deviation over the root of N, were they normally distributed
@@ -25,6 +26,11 @@ class Pace:
     why: str = ""
     _was_good: bool = False  # when it was looked at last
     _stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST + 1))
+
+    @property
+    def fault(self) -> str:
+        """``why``, and before enough samples have come to tell, that."""
+        return NOT_YET if len(self._stamps) <= LEAST else self.why
 
     def take(self, t: float) -> None:
         """A sample stamped ``t`` [s]."""

@@ -23,6 +23,7 @@ from stopset.monitor.journal import FileStore, Journal
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.links.bus import listen
 from stopset.monitor.links.zenoh_link import ZenohLink
+from stopset.monitor.opening import Opening
 from stopset.monitor.profile import Profile, load_profile
 from stopset.monitor.realtime import claim
 from stopset.monitor.report import about, health
@@ -38,9 +39,16 @@ def start(config: Config, begun: Spawned, seconds: float = 0.0) -> tuple[int, di
     ``begun``: the process that will bound stops. SIGHUP reads the model anew.
     """
     granted = claim(lock=config.realtime, priority=config.priority, cores=config.cores, begun=(begun.process.pid,))
-    load = trusted(config)
-    model = load()
     profile = load_profile(config.bus.profile) if config.bus else None
+    read = trusted(config)
+
+    def load() -> Model:
+        """On every reload too: what does not go with the arm's link is refused."""
+        model = read()
+        _cycle(config, model, profile)
+        return model
+
+    model = load()
     cycle_s = _cycle(config, model, profile)
     signer = load_keys(config.keys).first if config.keys else None
     latch = Latch(Journal(FileStore(Path(config.journal), Record())))
@@ -83,7 +91,7 @@ def start(config: Config, begun: Spawned, seconds: float = 0.0) -> tuple[int, di
     gc.freeze()
     gc.disable()  # the loop makes no circles: `benchmarks/monitor_long.py`
     try:
-        code = daemon.run(open_source)
+        code = daemon.run(Opening(open_source).turn)
         return code, health(daemon)
     finally:
         gc.enable()

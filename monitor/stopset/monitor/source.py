@@ -23,6 +23,7 @@ from stopset.monitor.sample import Quantum, Sample
 from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
+STOOD = 0.1  # [s] more between two SYNC than their counter says: no stamp is late by as much, the master has stood still
 GAP = 1000  # a step in the cycle number that no run of samples makes
 BACKLOG = 8  # messages that may wait; of more the oldest are dropped
 TURN = 1024  # frames looked at in one turn at most, a few milliseconds' work
@@ -67,17 +68,18 @@ class CycleCount:
     overflow: int
     k: int = 0
     missed: int = 0
+    cycles: int = 0
     _before: Cycle | None = None
 
     def __call__(self, c: Cycle) -> int:
-        b, self._before = self._before, c
+        b, self._before, self.cycles = self._before, c, self.cycles + 1
         if b is None:
             return self.k
         elapsed = (c.t - b.t) / self.cycle_s
         if self.overflow and c.counter is not None and b.counter is not None:
             step = (c.counter - b.counter) % self.overflow
-            # over half a round the counter is ambiguous; going back in time is a new start
-            if not -0.5 < elapsed < 0.5 * self.overflow or step == 0:
+            # over half a round the counter is ambiguous; going back in time is a new start; a master that stood still has not counted
+            if not -0.5 < elapsed < 0.5 * self.overflow or step == 0 or (elapsed - step) * self.cycle_s > STOOD:
                 step = GAP
         else:
             step = round(elapsed) if 0.5 < elapsed < 1e6 else GAP
@@ -105,6 +107,8 @@ class CanSource:
     _batch: Batch = field(default_factory=Batch)
     _fill: Callable[[Batch, float], None] = field(init=False)
     _failed: BusError | None = None  # the bus, behind the frames that are still to be looked at
+    _seen: tuple[int, int] = (-1, 0)  # frames and cycles when complaints were asked for last, and what then was lacking
+    _lacked: str = ""
 
     def __post_init__(self) -> None:
         self.decoder = Decoder(self.profile, self.cycle_s, LOG, joined=True)
@@ -163,9 +167,26 @@ class CanSource:
         nodes = self.decoder.nodes
         said, nodes.emergencies = nodes.emergencies, []
         names = {node: joint for joint, node in self.profile.nodes.items()}
-        return [
+        words = [
             f"{names.get(node, f'node {node}')}: EMCY 0x{int.from_bytes(d[:2], 'little'):04X}, {d.hex(' ')}" for node, d in said
         ]
+        before, self._lacked = self._lacked, self._lacking()
+        self._seen = self.decoder.frames, self._count.cycles
+        return [*words, self._lacked] if self._lacked not in ("", before) else words
+
+    def _lacking(self) -> str:
+        """What never came since `complaints` were asked for last, if there was no cycle; empty if there was one."""
+        frames, cycles = self._seen
+        if frames < 0 or self._count.cycles > cycles:
+            return ""
+        came, p = self.decoder.came_since(frames), self.profile
+        if p.sync_id not in came:
+            return f"no SYNC (0x{p.sync_id:03X}) on the bus; look at the master, cable, power and bit rate"
+        absent = [m for m in self.decoder.maps.values() if m.synchronous and m.cob_id not in came]
+        of = [f"0x{m.cob_id:03X} of {', '.join(sorted({p.joints[t[1]] for t in m.targets if t is not None}))}" for m in absent]
+        if not of:
+            return "all PDOs come, but not once each after every SYNC: no cycle is whole; look for a second sender, and at the bus load"
+        return f"no cycle is whole, for these PDOs do not come: {'; '.join(of)}; look at these drives, and whether their mapping is the profile's"
 
     def heard(self, first: float, last: float) -> list[tuple[float, int, bytes]]:
         return self.decoder.heard(first, last)
@@ -269,12 +290,7 @@ class JointStateSource:
             return None
 
     def _sample(self, s: JointState) -> Sample:
-        place = {name: i for i, name in enumerate(s.name)}
-        if lacking := [j for j in self.joints if j not in place]:
-            raise BusError(f"joint_states lacks {', '.join(lacking)}; it names {', '.join(s.name)}")
-        if not s.position or not s.velocity:
-            raise BusError("joint_states carries no position or velocity; the check needs both")
-        index = [place[j] for j in self.joints]
+        q, dq, tau = self._rows(s)
         later = self.cycle_s if self._stamp is None else (s.stamp_ns - self._stamp) * 1e-9
         if -SWAPPED < later <= 0.0:
             if later:
@@ -289,13 +305,28 @@ class JointStateSource:
         self._k += whole
         self._stamp = s.stamp_ns
 
-        def row(x: tuple[float, ...]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-            return np.array([x[i] for i in index])
+        # without torque there is no verdict, but there are stop bounds
+        return Sample(self._k, s.stamp_ns * 1e-9, q, dq, tau, off=off, place_error=self._cycles.place_error)
 
-        tau = row(s.effort) if s.effort else None  # without it there is no verdict, but there are stop bounds
-        return Sample(
-            self._k, s.stamp_ns * 1e-9, row(s.position), row(s.velocity), tau, off=off, place_error=self._cycles.place_error
-        )
+    def _rows(self, s: JointState) -> tuple[Array, Array, Array | None]:
+        """Positions, speeds and torques (n,) of this arm's joints; raises `BusError` where there are none."""
+        place = {name: i for i, name in enumerate(s.name)}
+        if lacking := [j for j in self.joints if j not in place]:
+            raise BusError(f"joint_states lacks {', '.join(lacking)}; it names {', '.join(s.name)}")
+        index, rows = [place[j] for j in self.joints], []
+        for what, values in (("position", s.position), ("velocity", s.velocity), ("effort", s.effort)):
+            row = np.array([values[i] for i in index]) if values else np.full(len(index), np.nan)
+            absent = [j for j, x in zip(self.joints, row.tolist(), strict=True) if x != x]
+            if absent and (what != "effort" or len(absent) < len(index)):
+                raise BusError(
+                    f"joint_states carries no {what} of {', '.join(absent)}; expected position and velocity of every joint, and effort of "
+                    "all or none: look at the sender's state interfaces"
+                )
+            rows.append(None if absent else row)
+        q, dq, tau = rows
+        assert q is not None
+        assert dq is not None
+        return q, dq, tau
 
     def counters(self) -> dict[str, int]:
         return {

@@ -89,7 +89,8 @@ def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
     if s.stale:
         return (State.FAULT, flags, "no signal from the arm") if s.started else (State.INIT, flags, "waiting for the arm")
     if s.late:
-        return State.FAULT, flags, "the monitor is later than its numbers are valid"
+        why = f"samples are {s.age * 1e3:.0f} ms old when they are looked at, their numbers valid for {limits.valid_for * 1e3:.0f} ms: "
+        return State.FAULT, flags, why + "the monitor has too little of its machine, or the clock that stamps them lags"
     if v is None or s.sample is None:
         return State.INIT, flags, "waiting for the arm"
     old = max(s.age, s.since)

@@ -57,6 +57,7 @@ const char *stopset_setup(StopsetState *s, StopsetWork *w, double t0) {
     for (int k = 0; k < N_MEMORY; k++) s->r[VR_MEMORY + k] = s->r[VR_MEMORY_START + k];
     s->as_identified = (uint8_t)as_identified(s);
     s->violated = s->reloaded = s->ticked = 0;
+    s->unsampled = 1;
     s->stopping = 0;
     s->length = m->dt;
     memset(s->certificate, 0, sizeof s->certificate);
@@ -74,22 +75,40 @@ void stopset_reload(StopsetState *s) {
     stopset_forget(s);
 }
 
-void stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
-    double left = s->tube_start + stopset_model.horizon - s->r[VR_TIME];
-    const int over = s->b[IX_RESTART] && left < ahead + 1e-9 * stopset_model.dt;
-    if (!(over || s->reloaded) || !s->b[IX_MEASURED] || s->violated) return;
-    if (stopset_prepare(s, w)) return;
+/* Whether a state is measured: NaN is none, and exact zeros throughout are what an importer gives before anything is connected. */
+static int sampled(const StopsetState *s) {
+    int sound = s->b[IX_MEASURED], said = 0;
     for (int i = 0; i < NJ; i++) {
-        if (!stopset_finite(s->r[VR_Q_MEASURED + i]) || !stopset_finite(s->r[VR_DQ_MEASURED + i])) return;
+        const double q = s->r[VR_Q_MEASURED + i], dq = s->r[VR_DQ_MEASURED + i];
+        sound = sound && stopset_finite(q) && stopset_finite(dq);
+        said = said || q != 0.0 || dq != 0.0 || s->r[VR_TAU + i] != 0.0;
     }
+    return sound && said;
+}
+
+static void begin_at_sample(StopsetState *s, StopsetWork *w) {
+    if (!sampled(s) || stopset_prepare(s, w)) return;
     for (int i = 0; i < NJ; i++) {
         s->r[VR_Q + i] = s->r[VR_Q_MEASURED + i];
         s->r[VR_DQ + i] = s->r[VR_DQ_MEASURED + i];
     }
     s->tube_start = s->r[VR_TIME];
-    s->reloaded = 0;
+    s->reloaded = s->unsampled = 0;
     stopset_own_start(s, w);
     s->outputs_ready = 0;
+}
+
+void stopset_begin(StopsetState *s, StopsetWork *w) {
+    if (s->unsampled && !s->stopping) begin_at_sample(s, w);
+}
+
+/* [s] that a prediction has bounds for at most: along a nominal motion no longer than that is kept. */
+static double lasting(void) { return PATHS ? fmin(stopset_model.horizon, (AGES - 1) * stopset_model.dt) : stopset_model.horizon; }
+
+void stopset_restart(StopsetState *s, StopsetWork *w, double ahead) {
+    const double left = s->tube_start + lasting() - s->r[VR_TIME];
+    const int over = s->b[IX_RESTART] && left < ahead - 1e-9 * stopset_model.dt;
+    if ((over || s->reloaded) && !s->violated) begin_at_sample(s, w);
 }
 
 const char *stopset_trigger(StopsetState *s, StopsetWork *w) {
@@ -158,6 +177,7 @@ const char *stopset_step(StopsetState *s, StopsetWork *w, double h, double *done
     const char *wrong = stopset_no_range(s);
     if (!wrong) wrong = stopset_prepare(s, w);
     if (wrong) return wrong;
+    stopset_begin(s, w);
     look(s, w, h);
     if (!s->stopping) stopset_restart(s, w, h);
     wrong = stopset_trigger(s, w);
@@ -291,8 +311,7 @@ void stopset_outputs(StopsetState *s, StopsetWork *w) {
 
 void stopset_check(StopsetState *s, StopsetWork *w) {
     if (s->violated) return; /* latched until reset: one sample outside is a refutation */
-    int seen = s->b[IX_MEASURED] && covered(s);
-    for (int i = 0; i < NJ; i++) seen = seen && stopset_finite(s->r[VR_Q_MEASURED + i]) && stopset_finite(s->r[VR_DQ_MEASURED + i]);
+    const int seen = sampled(s) && covered(s);
     s->i[IX_VERDICT] = seen ? VERDICT_CONFORMANT : VERDICT_NONE;
     s->outputs_ready = 0;
     if (!seen || stopset_prepare(s, w)) return;

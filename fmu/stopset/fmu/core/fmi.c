@@ -98,6 +98,8 @@ Level stopset_enter_initialization(Instance *c, double t0) {
 
 Level stopset_exit_initialization(Instance *c) {
     if (stopset_expect(c, "exitInitializationMode", IN(PHASE_INITIALIZATION)) || refresh(c)) return LEVEL_ERROR;
+    stopset_begin(&c->now.s, c->work);
+    c->now.s.unsampled = 1; /* inputs of now are often starts that connections overwrite before the first step */
     stopset_check(&c->now.s, c->work);
     c->now.s.modes_by_events = (uint8_t)!c->co_simulation;
     if (!c->co_simulation) stopset_update_modes(&c->now.s, c->work, 0.0);
@@ -430,8 +432,9 @@ Level stopset_update_discrete(Instance *c, int *states_changed, int *next_define
     *states_changed = *next_defined = 0;
     if (prepared(c, "updateDiscreteStates")) return LEVEL_ERROR;
     if (!c->co_simulation) {
+        stopset_begin(s, c->work);
         stopset_check(s, c->work);
-        if (!s->stopping) stopset_restart(s, c->work, 0.0);
+        if (!s->stopping) stopset_restart(s, c->work, 1e-6 * stopset_model.dt); /* an event at the horizon is there but for rounding */
     }
     const char *wrong = stopset_trigger(s, c->work);
     if (wrong) return stopset_fail(c, "updateDiscreteStates", wrong);

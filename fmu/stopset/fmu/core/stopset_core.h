@@ -161,6 +161,7 @@ typedef struct {
     StopsetPast past;
     int32_t mode[NJ];                /* friction: sliding down -1, sticking 0, sliding up 1 */
     uint8_t as_identified, violated, outputs_ready;
+    uint8_t unsampled;       /* no state was measured yet: the first one is where the prediction begins */
     uint8_t reloaded;        /* another payload since the prediction began: nothing was tested across that */
     uint8_t ticked;          /* the stop that a clock asks for, as `stopping` */
     uint8_t stopping;        /* 0 no, 1 STOP 0, 2 STOP 1, 3 STOP 2; stays until reset */
@@ -186,7 +187,9 @@ void stopset_count(StopsetState *s);
 void stopset_outputs(StopsetState *s, StopsetWork *w);
 /* Hold the measured inputs against the tube of the present time; latches a violation. */
 void stopset_check(StopsetState *s, StopsetWork *w);
-/* New prediction from the measured state if the horizon ends before `ahead` [s] more and `restart` asks for it. */
+/* The prediction begins at the first state that is measured, wherever the unit was told to start. */
+void stopset_begin(StopsetState *s, StopsetWork *w);
+/* New prediction from the measured state if its bounds end before `ahead` [s] more, unless `restart` is off. */
 void stopset_restart(StopsetState *s, StopsetWork *w, double ahead);
 
 /* prepare.c: what follows from the parameters of s, made anew where they are others; 0 or a sentence. Nothing else has pointers. */

@@ -4,6 +4,7 @@
  *
  * Source: CiA 301 for SYNC, PDO and heartbeat.
  */
+#include <math.h>
 #include <string.h>
 
 #include "stopset.h"
@@ -125,7 +126,8 @@ static int pdo(StopsetDecoder *d, int place, const StopsetFrame *f, double t) {
 int stopset_nodes_good(const StopsetDecoder *d, double now) {
     for (int k = 0; k < STOPSET_NODES; k++) {
         if (d->node[k] == STOPSET_STRANGER) continue;
-        if (d->node[k] == STOPSET_BAD || (d->patience != 0.0 && !(now - d->heard[k] <= d->patience))) return 0;
+        /* one stamped far ahead, or before the clock was set back, says nothing of now */
+        if (d->node[k] == STOPSET_BAD || (d->patience != 0.0 && !(fabs(now - d->heard[k]) <= d->patience))) return 0;
     }
     return 1;
 }

@@ -634,23 +634,25 @@ STOPSET_API int stopset_sim_torques(const StopsetArm *arm, const double *rotor, 
 STOPSET_API int stopset_sim_inclusion(int n, const double *A, const double *b, const double *plus, const double *minus, int64_t *mode,
                                       double *w);
 
+/* Stops of one arm; what they differ in stands row by row. */
 typedef struct {
-    StopsetArm arm;
-    const double *rotor;                  /* (n,) [kg m^2] */
-    const double *dry, *viscous;          /* (n,) [N m], [N m s/rad] */
-    const double *brake, *delay, *rise;   /* (n,) [N m], [s], [s] after the cut at t = 0 */
-} StopsetSimStop;
+    int64_t count;
+    StopsetArm arm;                       /* pi (count, n, 10) */
+    const double *rotor;                  /* (count, n) [kg m^2] */
+    const double *dry, *viscous;          /* (count, n) [N m], [N m s/rad] */
+    const double *brake, *delay, *rise;   /* (count, n) [N m], [s], [s] after the cut at t = 0 */
+} StopsetSimStops;
 
-/* So many steps of dt [s]; disturbance (pieces, n) [N m], constant over equal pieces of them. */
+/* So many steps of dt [s]; disturbance (count, pieces, n) [N m], constant over equal pieces of them. */
 typedef struct {
     double dt;
     int64_t steps, pieces;
     const double *disturbance;
 } StopsetSimTime;
 
-/* Positions and velocities (steps + 1, n) [rad, rad/s] of a power-off stop. */
-STOPSET_API int stopset_sim_stop(const StopsetSimStop *stop, const double *q0, const double *v0, const StopsetSimTime *time, double *q,
-                                 double *v);
+/* Positions and velocities (count, steps + 1, n) [rad, rad/s] of power-off stops from q0, v0 (count, n). */
+STOPSET_API int stopset_sim_stops(const StopsetSimStops *stops, const double *q0, const double *v0, const StopsetSimTime *time, double *q,
+                                  double *v);
 
 typedef struct {
     StopsetArm arm;

@@ -105,10 +105,10 @@ class _CanListener:
             m = self._bus.recv(timeout)
         except (can.CanError, OSError) as e:
             raise BusError(f"the bus failed ({e}); check cable, power and termination") from e
+        if m is not None and m.is_error_frame:  # of any length of identifier: some adapters give it one
+            raise BusError("error frame on the bus; check termination and bit rate")
         if m is None or m.is_remote_frame or m.is_extended_id:
             return None
-        if m.is_error_frame:
-            raise BusError("error frame on the bus; check termination and bit rate")
         return Frame(m.arbitration_id, m.data, m.timestamp)
 
     def close(self) -> None:

@@ -19,6 +19,7 @@ KINDS = {
     "b": lib.STOPSET_I8, "h": lib.STOPSET_I16, "i": lib.STOPSET_I32, "q": lib.STOPSET_I64, "B": lib.STOPSET_U8, "H": lib.STOPSET_U16,
     "I": lib.STOPSET_U32, "Q": lib.STOPSET_U64, "f": lib.STOPSET_F32, "d": lib.STOPSET_F64, "?": lib.STOPSET_BOOL,
 }  # fmt: skip
+LOOKED_AT = 1024  # frames, a fraction of a millisecond
 FRAME = np.dtype([("id", "=u4"), ("length", "=i4"), ("data", "u1", 8), ("t", "=f8")])  # as the core's `StopsetFrame`
 BYTES = {"b": 1, "h": 2, "i": 4, "q": 8, "B": 1, "H": 2, "I": 4, "Q": 8, "f": 4, "d": 8, "?": 1}
 
@@ -125,6 +126,10 @@ class Decoder:
         self._one.clear()
         self._one.put(Frame(cob_id, data, t))
         return self.take(self._one, t)
+
+    def came_since(self, number: int) -> set[int]:
+        """Identifiers of the frames from this number on; of a great many, of the last."""
+        return {self._log[k % self.room].id for k in range(max(number, self.frames - min(self.room, LOOKED_AT)), self.frames)}
 
     def _frame(self, number: int) -> Frame:
         f = self._log[number % self.room]

@@ -104,7 +104,7 @@ def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[S
     """Each of ``claims`` beside those before it."""
     out, before, earlier = list[Step](), found.before, list[Candidate]()
     for c in (claim.scored.candidate for claim in claims):
-        out.append(step(already, c, before, found.hyper, earlier))
+        out.append(step(already, c, before, found.hyper, earlier, found.excess))
         already, before, earlier = already.plus(c), out[-1].after, [*earlier, c]
     return out
 
@@ -117,7 +117,7 @@ def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int
         if objections[k] or len(out) == limit.HANDFUL:
             continue
         c = claim.scored.candidate
-        taken = step(already, c, before, found.hyper, earlier)
+        taken = step(already, c, before, found.hyper, earlier, found.excess)
         if taken.why:
             objections[k] = taken.why
             continue

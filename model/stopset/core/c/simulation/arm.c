@@ -90,6 +90,15 @@ static double slipped(double force, double displacement, double limit, double re
     return limited(force + displacement * limit / reach, limit);
 }
 
+/* Impulse a brake can give from t to t + h [N m s]: the exact integral of its torque ramp. */
+static double brake_impulse(double t, double h, double delay, double rise, double level) {
+    const double s = t - delay, e = t + h - delay;
+    double total = 0.0;
+    if (e > 0.0) total = e >= rise ? e - 0.5 * rise : 0.5 * e * e / rise;
+    if (s > 0.0) total -= s >= rise ? s - 0.5 * rise : 0.5 * s * s / rise;
+    return level * total;
+}
+
 typedef struct {
     SimFriction f;
     double M[SIM_JOINTS * SIM_JOINTS], bias[SIM_JOINTS];
@@ -152,7 +161,7 @@ static void assemble(const StopsetSimArm *a, Work *c, const double *tau, const d
                 b[m] -= h * slipped(a->slip[i * ELEMENTS + e], middle[m] - a->x[m], force * SHARES[e], T[PRESLIDING] * REACH[e]);
             force = 0.0;
         }
-        const double grip = sim_brake_impulse(since, h, T[BRAKE_DELAY], T[BRAKE_RISE], T[BRAKE_TORQUE]);
+        const double grip = brake_impulse(since, h, T[BRAKE_DELAY], T[BRAKE_RISE], T[BRAKE_TORQUE]);
         f->plus[m] = h * force * (1.0 + T[SKEW]) + grip;
         f->minus[m] = h * force * (1.0 - T[SKEW]) + grip;
     }

@@ -16,7 +16,6 @@ void sim_mass_and_bias(const StopsetArm *arm, const double *q, const double *dq,
 int sim_solve(SimFriction *f);
 double sim_first_crossing(SimFriction *f, const double *v, int *joint);
 int sim_crosses(const SimFriction *f, const double *v);
-double sim_brake_impulse(double t, double h, double delay, double rise, double level);
 
 enum { SIM_SPLITS = 4 };             /* events per joint in one step before the rest of it is taken unsplit */
 #define SIM_SMALLEST 1e-6            /* of a step: what is closer than this happens now */

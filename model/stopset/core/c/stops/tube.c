@@ -20,10 +20,11 @@ const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_
 enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy does not fall */
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
 
-static const double too_far = 100.0; /* times the range of a speed, by which claims let it change on one step */
+static const double too_far = 100.0; /* times the range of a speed, or its widest band, by which claims let it change on one step */
 
 typedef struct {
     const StopsetTube *tube;
+    double widest; /* band of speeds with which a tube ends */
     int n, energetic, pulled, related, asked; /* pulled: the momenta still say more than the energy; asked: so do accelerations, or may yet */
     _Alignas(32) double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
     Span q, farthest; /* angles at the cut; displacements from now on, by energy */
@@ -89,12 +90,12 @@ static int claims_hold(March *m) {
             const double value = m->out[row][i];
             double *claim = &m->claim[row][i];
             if (!used) continue;
-            if (row == 0 || row == 2) {
-                if (value < *claim && !(row == 2 && !s->minus[i] && value >= 0.0)) {
+            if (row == 0 || row == 2) { /* what is not a number holds no claim */
+                if (!(value >= *claim) && !(row == 2 && !s->minus[i] && value >= 0.0)) {
                     good = 0;
                     *claim = value - 0.05 * size_of(value) - 1e-3;
                 }
-            } else if (value > *claim && !(row == 1 && !s->plus[i] && value <= 0.0)) {
+            } else if (!(value <= *claim) && !(row == 1 && !s->plus[i] && value <= 0.0)) {
                 good = 0;
                 *claim = value + 0.05 * size_of(value) + 1e-3;
             }
@@ -193,11 +194,11 @@ static void torques(March *m, const double *lo, const double *hi) {
     }
 }
 
-/* Whether claims have left what the caps allow so far behind that they would only grow. */
+/* Whether claims have left what the caps allow, or where a tube ends, so far behind that they would only grow; or are no numbers any more. */
 static int hopeless(const March *m) {
     for (int row = 0; row < 4; row++)
         for (int i = 0; i < m->n; i++)
-            if (m->s.h * size_of(m->claim[row][i]) > too_far * (m->cap.hi[i] - m->cap.lo[i])) return 1;
+            if (!(m->s.h * size_of(m->claim[row][i]) <= too_far * least(m->cap.hi[i] - m->cap.lo[i], m->widest))) return 1;
     return 0;
 }
 
@@ -216,7 +217,7 @@ static int verify(March *m, int64_t k) {
         stops_accelerations(&m->near.at, &m->s, m->out);
         if (m->related) stops_related(&m->near, &m->s, m->out);
         if (claims_hold(m)) return 1;
-        if (hopeless(m)) return 0; /* never without caps, which are infinite then */
+        if (hopeless(m)) return 0;
     }
     return 0;
 }
@@ -452,7 +453,7 @@ static double step_from(double now, double closing, double engaged, double h, do
 static int march(const StopsetPlant *plant, const StopsetBox *box, const StopsetStride *stride, const StopsetParts *parts, int related,
                  const StopsetTube *tube, int64_t *made) {
     const int n = plant->arm.n, energetic = stride->energetic;
-    double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, fastest = STOPS_INF, quick = 0.0, lowest = STOPS_INF;
+    double middle[SN], gravity[SN], closing = STOPS_INF, engaged = -STOPS_INF, quick = 0.0, lowest = STOPS_INF;
     int idle = 0;
     March m;
     memset(&m, 0, offsetof(March, near));
@@ -474,7 +475,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
     begin(&m, box, middle);
     memcpy(gravity, m.near.E.g, sizeof gravity);
     /* bands that feed on each other grow without end; what the energy allows is finite, however fast an arm may fall */
-    if (!energetic) fastest = related ? 4.0 * quick + 2.0 : 20.0 * quick + 20.0;
+    m.widest = energetic ? STOPS_INF : related ? 4.0 * quick + 2.0 : 20.0 * quick + 20.0;
     for (int64_t k = 0; k < stride->count; k++) {
         const double now = tube->t[k], y = m.energy.y;
         double widest = -STOPS_INF;
@@ -498,7 +499,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
             if (wide != wide || span != span) return UNBOUNDED; /* not a number is no bound */
             widest = most(widest, wide);
         }
-        if (!(widest < fastest)) return UNBOUNDED;
+        if (!(widest < m.widest)) return UNBOUNDED;
         if (now >= engaged && held(&m, k)) return OK; /* from now on nothing changes any more */
         idle = now < engaged || m.energy.y < lowest ? 0 : idle + 1;
         lowest = now < engaged ? STOPS_INF : least(lowest, m.energy.y);
