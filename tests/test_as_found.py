@@ -378,12 +378,6 @@ def test_what_is_no_claim() -> None:
     # a real UR10e's elbow, and an elbow beside a gear with play: neither is shown to swing as such a gear does
     assert "times what such a gear makes" in objection(gear, {"share": 0.83, **shape}, {"share": 0.066}, 60.0)
     assert "times what such a gear makes" in objection(gear, {"share": 0.76, **shape}, {"share": 0.042}, 60.0)
-    # a real UR10e with a load: the elbow's torque constant has not changed by 13 % since, as nobody would say of 2.7 standard errors
-    gain = get("torque_gain")
-    assert objection(gain, {"e": -0.135}, {"e": 0.05}, 60.0) == ""
-    assert "4 times its error" in objection(gain, {"e": -0.135}, {"e": 0.05}, 60.0, modelled=True)
-    assert objection(gain, {"e": 0.109}, {"e": 0.006}, 60.0, modelled=True) == ""
-    assert objection(heating, near | {"tau_w": 2.0}, {"k_v": 7.0, "k_c": 1.8, "tau_w": 0.045}, 60.0, modelled=True) == ""
     # an offset of a real LBR Med's torque sensor, called a spring of no known stiffness
     said = objection(get("spring"), {"k": 0.015, "c": -0.093}, {"k": 0.25, "c": 0.009}, 60.0)
     assert said.startswith("its stiffness is not larger than twice its error")

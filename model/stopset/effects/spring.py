@@ -17,7 +17,7 @@ EFFECT = Effect(
     says="A hose, cable pack or spring pulls the joint towards one position.",
     look_at="q",
     terms=(
-        Term("k", "N m/rad", "stiffness", -1e4, 1e4),
+        Term("k", "N m/rad", "stiffness", 0.0, 1e4),
         Term("c", "N m", "torque at q = 0; the spring rests at -c/k", -1e4, 1e4),
     ),
     law=law,

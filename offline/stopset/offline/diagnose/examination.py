@@ -135,7 +135,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     objections = []
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
-        objections.append(objection(claim.scored.candidate.effect, values, std, seconds, modelled=engine.modelled))
+        objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):

@@ -8,23 +8,16 @@ from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
 
 
-def objection(
-    effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float, *, modelled: bool = False
-) -> str:
-    """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded.
-
-    ``modelled``: they are held against a model from other recordings.  A level that it has and that differs has changed since, and must be
-    as sure as any change that is told.
-    """
-    sure = limit.CHANGE_SURE if modelled and effect.part else limit.SURE
+def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
+    """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded."""
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
     # of a body its mass decides: moments and inertias without one are the description's errors in other words; of a spring its stiffness
     first = effect.terms[0]
     telling = [sizes[first.symbol]] if effect.essential else list(sizes.values())
-    if all(abs(v) <= sure * s for v, s in telling if s > 0) and any(s > 0 for _, s in telling):
+    if all(abs(v) <= limit.SURE * s for v, s in telling if s > 0) and any(s > 0 for _, s in telling):
         said = ", ".join(f"{k} = {v:.3g} +- {s:.2g}" for k, (v, s) in sizes.items())
         which = f"its {first.means.split(',')[0]} is not" if effect.essential else "no number of it is"
-        return f"{which} larger than {'twice' if sure == limit.SURE else f'{sure:g} times'} its error ({said})"
+        return f"{which} larger than twice its error ({said})"
     for t in effect.terms:
         v, s = sizes[t.symbol]
         if v < t.lo - limit.SURE * s or v > t.hi + limit.SURE * s:
