@@ -30,6 +30,7 @@ from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.journal import FileStore, Journal
 from stopset.monitor.latch import Latch, Record
+from stopset.monitor.opening import Opening
 from stopset.monitor.sample import Quantum, Sample
 
 TIMES = 3
@@ -154,6 +155,21 @@ class Life:
     def lost_bus(self) -> None:
         self.live(BusError, *self.samples(3))
 
+    def bus_that_does_not_open(self) -> None:
+        answers: list[Life | None] = [None, self]
+
+        def begin() -> Life:
+            if (answer := answers.pop(0)) is None:
+                error = BusError("not there")
+                error.args = (*error.args, error)  # as drivers leave circles
+                raise error
+            return answer
+
+        self.script.extend([BusError, *self.samples(3)])
+        self.daemon.stopping = False
+        self.daemon.run(Opening(begin).turn)
+        assert not answers
+
     def another_model(self) -> None:
         before, end = self.daemon.desk, time.monotonic() + LONGEST
         self.daemon.reloading.asked = True
@@ -175,7 +191,7 @@ class Life:
 
 EVENTS = (
     Life.quiet, Life.gap, Life.violation_and_reset, Life.refused_orders, Life.challenge, Life.error_in_the_loop,
-    Life.error_in_the_check, Life.lost_bus, Life.another_model, Life.refused_model,
+    Life.error_in_the_check, Life.lost_bus, Life.bus_that_does_not_open, Life.another_model, Life.refused_model,
 )  # fmt: skip
 
 

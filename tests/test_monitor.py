@@ -150,8 +150,8 @@ def test_sets_that_conform_from_the_start_are_used_from_the_start_only() -> None
     [
         ({"tau": None}, "torque"),
         ({"powered": False}, "powered"),
-        ({"q": np.full(6, np.nan)}, "not a number"),
-        ({"tau": np.array([1.0, np.inf, 0, 0, 0, 0])}, "not a number"),
+        ({"q": np.full(6, np.nan)}, "not a number, or beyond 1e+06: q_arm_1_joint, q_arm_2_joint"),
+        ({"tau": np.array([1.0, np.inf, 0, 0, 0, 0])}, "not a number, or beyond 1e+06: tau_arm_2_joint; look at"),
     ],
 )
 def test_no_verdict_is_unknown_and_forgets(change: dict[str, Any], word: str) -> None:

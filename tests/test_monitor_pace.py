@@ -66,3 +66,18 @@ def test_no_pause_no_set_clock_and_no_stamp_that_is_none_is_another_cycle() -> N
         pace.take(math.nan)
     assert pace.why, "and what cannot be told is not good"
     assert Pace(PERIOD).why == "" and ANOTHER < 0.05
+
+
+@pytest.mark.parametrize("before", [0, 200])
+def test_making_up_for_a_pause_does_not_make_another_cycle_good(before: int) -> None:
+    """A sender 5 % too slow that stands still for 30 ms and then sends what waited: when the pause has left what is looked at, the mean is right."""
+    pace, t, said = Pace(0.004), START, []
+    for k in range(before):
+        pace.take(START + 0.0042 * k)
+    for k in range(before, before + 600):
+        due = START + 0.0042 * k
+        held_up = due // 0.7 * 0.7 + 0.03  # once in 0.7 s
+        t = max(due, held_up, t + 1e-4)
+        pace.take(t)
+        said.append(pace.fault)
+    assert all(said) and sum("samples come every 4.2 ms" in why for why in said) > 400

@@ -13,7 +13,11 @@
 
 static int64_t now_ns(void) {
   struct timespec t;
+#ifdef CLOCK_BOOTTIME
+  clock_gettime(CLOCK_BOOTTIME, &t);
+#else
   clock_gettime(CLOCK_MONOTONIC, &t);
+#endif
   return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
 }
 

@@ -5,7 +5,7 @@
    Every cycle:  nonce = stopset_challenge(&c, now_ns, random64)  -> if not 0, send its 8 bytes on <prefix>/challenge
                  stopset_take(&c, bytes, n, now_ns)               for every message that has come on <prefix>/state
                  stopset_now(&c, now_ns)                          -> the state that holds; c.last has the numbers, c.why the doubt
-   now_ns: own monotonic clock, not 0 at the first call. random64: 64 fresh random bits. */
+   now_ns: own clock that is never set and goes on while the machine sleeps (Linux: CLOCK_BOOTTIME), not 0 at the first call. random64: 64 fresh random bits. */
 #ifndef STOPSET_CONSUMER_H
 #define STOPSET_CONSUMER_H
 #include "stopset_state.h"

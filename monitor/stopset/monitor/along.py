@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside
+from stopset.monitor.check import ALL_ZERO, LARGEST, Check, no_number, not_checked, outside
 from stopset.monitor.config import Masses
 from stopset.monitor.inputs import Inputs
 from stopset.monitor.payload import unidentified_payload
@@ -138,7 +138,7 @@ class WatchAlong(Check):
         assert s.tau is not None
         readings = (s.q, s.dq, s.tau) if s.temp is None else (s.q, s.dq, s.tau, s.temp)
         if not all(np.all(np.abs(r) <= LARGEST) for r in readings):
-            return NOT_A_NUMBER
+            return no_number(self.model, s)
         if not any(r.any() for r in readings[:3]):
             return ALL_ZERO
         return unidentified_payload(self.model, self.payload)

@@ -12,7 +12,6 @@ from stopset.monitor.verdict import Conformance, Verdict
 from stopset.types import Array
 
 LARGEST = 1e6  # of any reading [SI]; beyond it arithmetic would end in what is not a number
-NOT_A_NUMBER = "a reading is not a number"
 ALL_ZERO = "every reading is exactly zero, torques too: no sensors tell that of an arm; look at the drives and the mapping"
 
 
@@ -42,6 +41,16 @@ def not_checked(s: Sample) -> str:
     if not s.powered:
         return "the drives are not in powered operation"
     return "no torque in the signals" if s.tau is None else ""
+
+
+def no_number(model: Model, s: Sample) -> str:
+    """Which readings cannot be computed with."""
+    rows = (("q", s.q), ("dq", s.dq), ("tau", s.tau), ("temp", s.temp))
+    which = [
+        f"{name}_{model.joints[j]}"
+        for name, row in rows if row is not None for j in np.flatnonzero(~(np.abs(row) <= LARGEST))
+    ]  # fmt: skip
+    return f"a reading is not a number, or beyond {LARGEST:g}: {', '.join(which)}; look at the sensor and its mapping"
 
 
 def outside(model: Model, quantum: Quantum, s: Sample, u: Array, du: Array) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import queue
 import threading
 from collections.abc import Callable
@@ -26,11 +27,15 @@ class Opening:
         if self._answers.empty():
             return None
         self._opening, answer = False, self._answers.get_nowait()
-        if isinstance(answer, Exception):
+        if not isinstance(answer, Exception):
+            return answer
+        try:
             raise answer
-        return answer
+        finally:
+            del answer  # which would hold this frame, and that it: nobody collects circles while the loop runs
 
     def _work(self) -> None:
+        gc.collect()  # what a driver has left of the try before: python-can some 40 objects, and a bus may be away for days
         try:
             self._answers.put(self.begin())
         except Exception as e:  # noqa: BLE001 - it is raised where the source was asked for

@@ -17,7 +17,7 @@ from stopset.artifact import Model
 from stopset.artifact.taped import Pinned
 from stopset.core.library import check, ffi, lib, view
 from stopset.errors import NotCovered
-from stopset.monitor.check import ALL_ZERO, LARGEST, NOT_A_NUMBER, Check, not_checked, outside
+from stopset.monitor.check import ALL_ZERO, LARGEST, Check, no_number, not_checked, outside
 from stopset.monitor.config import Masses
 from stopset.monitor.grid import GridMotion
 from stopset.monitor.inputs import Inputs
@@ -26,8 +26,6 @@ from stopset.monitor.payload import unidentified_payload
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.verdict import Conformance, Verdict
 from stopset.types import Array
-
-UNREADABLE = {lib.STOPSET_NOT_A_NUMBER: NOT_A_NUMBER, lib.STOPSET_ALL_ZERO: ALL_ZERO}
 
 
 @dataclass(slots=True)
@@ -114,13 +112,19 @@ class Watch(Check):
         if not reason:
             self._put(s)
             code = lib.stopset_next(self._struct, temp) if follows else lib.stopset_readable(self._struct, temp)
-            reason = UNREADABLE.get(code, "") or self._payload_why
+            reason = self._unreadable(code, s) or self._payload_why
             if not reason:
                 check(code)
         if reason:
             self.restart()
             return Verdict(Conformance.UNKNOWN, reason)
         return self._said(self._here[:2].ravel(), self._outside(s)) if follows else self._uneven(s, before)
+
+    def _unreadable(self, code: int, s: Sample) -> str:
+        """In words, what the core has said of a sample; empty if it can be read."""
+        if code == lib.STOPSET_NOT_A_NUMBER:
+            return no_number(self.model, s)
+        return ALL_ZERO if code == lib.STOPSET_ALL_ZERO else ""
 
     def _put(self, s: Sample) -> None:
         n, here = self.model.n, self._here
