@@ -378,6 +378,10 @@ def test_what_is_no_claim() -> None:
     # a real UR10e's elbow, and an elbow beside a gear with play: neither is shown to swing as such a gear does
     assert "times what such a gear makes" in objection(gear, {"share": 0.83, **shape}, {"share": 0.066}, 60.0)
     assert "times what such a gear makes" in objection(gear, {"share": 0.76, **shape}, {"share": 0.042}, 60.0)
+    # an offset of a real LBR Med's torque sensor, called a spring of no known stiffness
+    said = objection(get("spring"), {"k": 0.015, "c": -0.093}, {"k": 0.25, "c": 0.009}, 60.0)
+    assert said.startswith("its stiffness is not larger than twice its error")
+    assert objection(get("spring"), {"k": 0.205, "c": -0.284}, {"k": 0.005, "c": 0.005}, 60.0) == ""
     nothing = {t.symbol: 0.0 for t in body.terms}
     # a healthy arm weeks later: a moment of five times its error, and no mass
     assert "its mass is not" in objection(

@@ -113,6 +113,7 @@ class Effect:
     Effects with ``scope`` ``arm`` and ``pair`` give their columns for each joint they act on, with the same parameters.
 
     ``carried``: its terms are the ten standard parameters of a body that the last link carries, in their order;
+    ``essential``: its first term is what makes it, and where that is not known it is another law;
     ``power``: of the speed, where the law is that alone: then the abstraction's damping may hold it.
 
     ``role``: how it acts on the arm in a stop, its drives off (`stopset.effects.bound`):
@@ -153,6 +154,7 @@ class Effect:
     reading: Reading | None = None
     power: int = 0
     carried: bool = False
+    essential: bool = False
     part: Part = ""
     usual: int = 0
     adjacent: bool = False

@@ -33,6 +33,7 @@ EFFECT = Effect(
     enters="inertia",
     role="plant",
     carried=True,
+    essential=True,
     source="khalil2007",
     scope="arm",
     looks_like=("torque_gain", "base_tilt"),

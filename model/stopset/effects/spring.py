@@ -17,7 +17,7 @@ EFFECT = Effect(
     says="A hose, cable pack or spring pulls the joint towards one position.",
     look_at="q",
     terms=(
-        Term("k", "N m/rad", "stiffness", -1e4, 1e4),
+        Term("k", "N m/rad", "stiffness", 0.0, 1e4),
         Term("c", "N m", "torque at q = 0; the spring rests at -c/k", -1e4, 1e4),
     ),
     law=law,
@@ -27,4 +27,5 @@ EFFECT = Effect(
     looks_like=("asymmetric_coulomb", "payload", "base_tilt", "encoder_offset"),
     distinguished_by="Move slowly through the joint's range in a pose where gravity does not load it.",
     simulated="dress pack",
+    essential=True,
 )

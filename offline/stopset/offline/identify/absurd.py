@@ -34,7 +34,8 @@ def late(found: Survey, joints: Sequence[str]) -> list[str]:
     n = len(joints)
     return [
         f"the speed of {j} comes {1e3 * abs(x):.1f} ms {'after' if x > 0 else 'before'} the slope of its positions, as one that is "
-        f"filtered or derived; its readings are up to {found.readings.most.hi[n + k]:.3g} rad/s off them, and that is what V may hold"
+        f"filtered or derived; with jolts and vibration its readings are up to {found.readings.most.hi[n + k]:.3g} rad/s off the smooth "
+        "motion around them, and that is what V may hold"
         for k, (j, x) in enumerate(zip(joints, found.late.tolist(), strict=True))
         if abs(x) > LATE * found.dt
     ]

@@ -11,11 +11,12 @@ from stopset.offline.diagnose import thresholds as limit
 def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
     """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded."""
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
-    # of a body its mass decides: moments and inertias without one are the description's errors in other words
-    telling = [sizes[effect.terms[0].symbol]] if effect.carried else list(sizes.values())
+    # of a body its mass decides: moments and inertias without one are the description's errors in other words; of a spring its stiffness
+    first = effect.terms[0]
+    telling = [sizes[first.symbol]] if effect.essential else list(sizes.values())
     if all(abs(v) <= limit.SURE * s for v, s in telling if s > 0) and any(s > 0 for _, s in telling):
         said = ", ".join(f"{k} = {v:.3g} +- {s:.2g}" for k, (v, s) in sizes.items())
-        which = "its mass is not" if effect.carried else "no number of it is"
+        which = f"its {first.means.split(',')[0]} is not" if effect.essential else "no number of it is"
         return f"{which} larger than twice its error ({said})"
     for t in effect.terms:
         v, s = sizes[t.symbol]

@@ -155,11 +155,13 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
 
 
 def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothesis, Claim]:
-    """A narrow decision between contenders taken again, now that all the other causes are known."""
+    """A narrow decision between contenders taken again, now that all the other causes are known: those that no later claim says."""
     if claim.scored.candidate.effect.role == "swing":
         return now, claim
     key = claim.scored.candidate.key
-    top, rivals = settle(now.without(key), [claim.scored, *claim.rivals], hyper)
+    others = now.without(key)
+    open_ones = [s for s in claim.rivals if not said_already(others.active, s.candidate)]
+    top, rivals = settle(others, [claim.scored, *open_ones], hyper)
     if top.candidate.key == key:
         return now, claim
     return now.instead(top.candidate, key), replace(claim, scored=top.scored, score=top.scored.score, rivals=rivals)

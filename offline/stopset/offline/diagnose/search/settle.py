@@ -32,13 +32,22 @@ class Settled:
     def candidate(self) -> Candidate:
         return self.now.active[-1]
 
+    @property
+    def possible(self) -> bool:
+        """Whether its numbers are what they can be, with the whole model refitted beside it; a swing is made exact later."""
+        c = self.candidate
+        place = {column: k for k, column in enumerate(self.now.nuisance.tolist())}
+        theta = self.fit.theta[[place[k] for k in c.cols.tolist()]]
+        return c.effect.role == "swing" or replace(self.scored, candidate=c, theta=theta).admissible
+
 
 def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settled, tuple[Scored, ...]]:
     """Of contenders, ``best`` first, the one to claim, and its rivals.
 
     Whoever's score lacks more than a claim's evidence, and at the best one's joints what its form takes up, is out of the question.
     The likeliest is claimed; but of laws that look alike at its joints the simplest that leaves as little, but for a claim's evidence,
-    when it may be off by `SAME_LAW`: a finer law must say more than that the plainer one is not quite true.
+    when it may be off by `SAME_LAW`: a finer law must say more than that the plainer one is not quite true.  One that explains the rows
+    with numbers that it cannot have, as a spring that pushes, gives way to the likeliest that need not.
     """
     first = _refitted(now, best[0], hyper)
     lacks = [first.taken_up * _touch(s.candidate, first.candidate) + limit.THRESHOLD for s in best]
@@ -51,6 +60,8 @@ def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settl
     alike = [x for x in settled if _simplifies(x.candidate, likeliest.candidate)]
     enough = [x for x in alike if x.mended > likeliest.evidence - limit.THRESHOLD]
     top = min(enough, key=lambda x: (_size(x.candidate), -x.mended), default=likeliest)
+    if not top.possible:
+        top = max((x for x in settled if x.possible), key=lambda x: x.evidence, default=top)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
 
 
