@@ -1,12 +1,14 @@
 """Recorded stops against the brakes and ramps identified from others: certified, violated, and how far the bound exceeds them.
 
-    python benchmarks/recorded_stops.py FOLDER [SET ...] [--left-out] [--json FILE]
+    python benchmarks/recorded_stops.py FOLDER [SET ...] [--left-out | --floor] [--json FILE]
 
 FOLDER holds sets, each with ``recording.parquet`` (phases stop0, stop1), ``robot.urdf`` and ``robot.json``. Every third stop of a
 suite is held out; only these are counted.  One line per set and category: held-out stops, those with a certified bound, those that
 leave it at any sample, those it does not apply to, and the median of bound over measured angle and time.  With ``--left-out`` every
 stop in turn is left out and the others identify: all of suites with few stops, each tenth power-off stop of the others.  (There the
-sets are not widened to enclose the training stops, as it would take hours; that makes them no wider than they would be.)
+sets are not widened to enclose the training stops, as it would take hours; that makes them no wider than they would be.)  With ``--floor``
+all stops identify, the one that is judged too, and intervals are the hulls of what was seen: how tight a bound of independent intervals
+could be at best, whatever rule makes them from however many stops like these.
 """
 
 from __future__ import annotations
@@ -14,13 +16,16 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
 from stopset.artifact import Model
-from stopset.offline.brakes import divide, judge_stop1
+from stopset.offline.brakes import bands, divide, judge_stop1
 from stopset.offline.brakes.controlled import KINDS, fit_all, ramp_from
 from stopset.offline.brakes.data_sheet import assumed_brakes
 from stopset.offline.brakes.judge import StopVerdict, first_outside, stop0_tubes, stop1_tube
@@ -90,17 +95,19 @@ def rows_of(name: str, model: Model, recordings: Sequence[Recording]) -> list[Ro
     return out
 
 
-def left_out(name: str, model: Model, recordings: Sequence[Recording]) -> list[Row]:
-    """What each stop says of brakes and ramp identified from all others."""
+def left_out(name: str, model: Model, recordings: Sequence[Recording], floor: bool = False) -> list[Row]:
+    """What each stop says of brakes and ramp identified from all others; ``floor``: from all, and held to what was seen alone."""
     stops = [r for r in recordings if r.phase in ("stop0", "stop1")]
     noise = rest_noise(stops, model.n)
     assert noise is not None
     model = replace(model, brakes=assumed_brakes(model.robot))
     model = replace(model, sets={**model.sets, "stop0": replace(model.powered, X0=noise, V=noise, active=())})
-    return [_left_out_stop0(name, model, stops, noise), _left_out_stop1(name, stops, noise)]
+    out = int(not floor)  # how many stops in turn are left out
+    with patch.object(bands, "RISK", 1.0) if floor else nullcontext():
+        return [_left_out_stop0(name, model, stops, noise, out), _left_out_stop1(name, stops, noise, out)]
 
 
-def _left_out_stop0(name: str, model: Model, stops: Sequence[Recording], noise: Box) -> Row:
+def _left_out_stop0(name: str, model: Model, stops: Sequence[Recording], noise: Box, out: int) -> Row:
     mine = [r for r in stops if r.phase == "stop0"]
     wide = model.brakes or guessed_brakes(model, mine, noise)
     seen = look(model, wide, mine, noise)
@@ -109,7 +116,7 @@ def _left_out_stop0(name: str, model: Model, stops: Sequence[Recording], noise: 
         if sum(x.suite == r.suite for x in mine) > MANY and k % 10:
             continue
         tried += 1
-        found = brakes_from(model, wide, [*seen[:k], *seen[k + 1 :]], noise, [])
+        found = brakes_from(model, wide, [*seen[:k], *seen[k + out :]], noise, [])
         setting = setting_of(found) if found is not None else None
         tubes = stop0_tubes(setting, r) if setting is not None else None
         if setting is None or tubes is None:
@@ -121,13 +128,13 @@ def _left_out_stop0(name: str, model: Model, stops: Sequence[Recording], noise: 
     return _row(name, "STOP 0", StopVerdict(tried, known, tuple(left)), ratios)
 
 
-def _left_out_stop1(name: str, stops: Sequence[Recording], noise: Box) -> Row:
+def _left_out_stop1(name: str, stops: Sequence[Recording], noise: Box, out: int) -> Row:
     mine = [r for r in stops if r.phase == "stop1"]
     fits = {kind: fit_all(kind, mine) for kind in KINDS}
     verdicts, ratios = [], []
     for k, r in enumerate(mine):
-        others = {kind: [*f[:k], *f[k + 1 :]] for kind, f in fits.items()}
-        ramp = ramp_from(others, [*mine[:k], *mine[k + 1 :]], [x for x in stops if x is not r], noise, [])
+        others = {kind: [*f[:k], *f[k + out :]] for kind, f in fits.items()}
+        ramp = ramp_from(others, [*mine[:k], *mine[k + out :]], [x for x in stops if x is not r or not out], noise, [])
         verdicts.append(judge_stop1(ramp, noise, [r]))
         ratios.append(exceeds([stop1_tube(ramp, noise, r)], r, rest_of(ramp, noise, r)))
     certified, uncovered = sum(v.certified for v in verdicts), tuple(x for v in verdicts for x in v.uncovered)
@@ -146,6 +153,7 @@ def main() -> None:
     args.add_argument("folder", type=Path)
     args.add_argument("sets", nargs="*", help="names of sets, default all")
     args.add_argument("--left-out", action="store_true", help="leave out every stop in turn")
+    args.add_argument("--floor", action="store_true", help="leave none out, and widen nothing: what no rule goes below")
     args.add_argument("--json", type=Path)
     given = args.parse_args()
     rows: list[Row] = []
@@ -157,7 +165,8 @@ def main() -> None:
         data = [folder / "recording.parquet"]
         model = identify(robot, data).model
         stops = [r for r in read_recordings(data, robot) if r.phase in ("stop0", "stop1")]
-        for row in (left_out if given.left_out else rows_of)(folder.name, model, stops):
+        ask = left_out if given.left_out else partial(left_out, floor=True) if given.floor else rows_of
+        for row in ask(folder.name, model, stops):
             rows.append(row)
             print(
                 f"{row.name:<6} {row.category:<7} {row.held:>4} {row.certified:>9} {row.violated:>8} {row.uncovered:>9} "
