@@ -47,7 +47,7 @@ def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settl
     Whoever's score lacks more than a claim's evidence, and at the best one's joints what its form takes up, is out of the question.
     The likeliest is claimed; but of laws that look alike at its joints the simplest that leaves as little, but for a claim's evidence,
     when it may be off by `SAME_LAW`: a finer law must say more than that the plainer one is not quite true.  One that explains the rows
-    with numbers that it cannot have, as a spring that pushes, gives way to the likeliest that need not.
+    with numbers that it cannot have, as a spring that pushes, gives way to the likeliest that need not, but to no finer form of itself.
     """
     first = _refitted(now, best[0], hyper)
     lacks = [first.taken_up * _touch(s.candidate, first.candidate) + limit.THRESHOLD for s in best]
@@ -61,7 +61,8 @@ def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settl
     enough = [x for x in alike if x.mended > likeliest.evidence - limit.THRESHOLD]
     top = min(enough, key=lambda x: (_size(x.candidate), -x.mended), default=likeliest)
     if not top.possible:
-        top = max((x for x in settled if x.possible), key=lambda x: x.evidence, default=top)
+        sound = (x for x in settled if x.possible and not refines(x.candidate, top.candidate))
+        top = max(sound, key=lambda x: x.evidence, default=top)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
 
 
