@@ -37,7 +37,7 @@ def main() -> None:
             f"{joint:24} rotor {rotor:8.4f}   about the axis {inertia:8.4f}   three standard errors {SIGMAS * error / inertia:8.1%}"
         )
     if not rotors_shown(found.theta, found.covariance, robot.n):
-        print("no joint's torque shows a rotor")
+        print("most joints' torque shows no rotor")
 
 
 if __name__ == "__main__":

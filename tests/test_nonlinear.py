@@ -25,6 +25,7 @@ from stopset.offline.abstraction import (
     best_first,
     build,
     friction_polynomial,
+    identified,
     prediction_error,
 )
 from stopset.offline.abstraction.grid import Trial, coarser
@@ -465,6 +466,21 @@ def test_a_model_that_runs_away_reaches_as_far_as_it_holds(tmp_path: Path, monke
     monkeypatch.setattr(nonlinear, "RUNAWAY", 1e-9)  # nothing stays within it
     with pytest.raises(NotConformant, match=r"diverges from the recorded motion within 0\.[0-9]+ s"):
         identify(arm(("a", "b")), [few], Settings(model=2, order=3, margin=1.0))
+
+
+def test_an_order_that_nobody_asked_for_gives_way_where_it_runs_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Order 3 predicts best and runs away from one motion: no model was made, with the advice to take model 1, which it was."""
+    trials = [replace(r, tau=r.tau + 2.0 * r.dq**3) for r in recordings((1.0, 0.5), (4.0, 2.0), 2, 4, 1.5, bias=0.0)]
+    few = save_trials(tmp_path / "few.parquet", trials, ("a", "b"), effort="motor_torque")
+    monkeypatch.setattr(nonlinear, "RUNAWAY", 1e-9)
+    monkeypatch.setattr(identified, "best_first", lambda found, horizon: sorted(found, key=lambda c: -c.abstraction.order))
+    cubic = Settings(effects=("cubic_viscous:a",), friction="plain", margin=1.0)
+    found = identify(arm(("a", "b")), [few], cubic).model
+    assert (
+        found.abstraction.order == 1 and "order 3 predicts best and runs away from some motion: order 1 was taken" in found.notes
+    )
+    with pytest.raises(NotConformant, match="take --order 1"):
+        identify(arm(("a", "b")), [few], replace(cubic, order=3))
 
 
 def test_a_prediction_that_ran_away_has_no_error() -> None:

@@ -135,6 +135,24 @@ def test_torque_behind_the_gears_bounds_no_stop_without_a_data_sheet(tmp_path: P
     np.testing.assert_allclose(box.radius, SIGMAS * sheet.inertia_std)
 
 
+def test_a_rotor_that_one_joint_seems_to_show_makes_no_geared_arm(tmp_path: Path) -> None:
+    """A real AR5 and a real LBR Med, both with torque sensors behind their gears, show one of seven by a hair: their stops were bounded with
+    wrists of nearly no rotor, a tenth of what brakes have to stop."""
+    whole = campaign(Truth(arm()), seconds=8.0, static=20)
+    one = replace(
+        behind_gears(whole), trials=tuple(
+            replace(r, tau=r.tau + np.array([0.0, 0.0, ROTOR[2]]) * np.gradient(r.dq, r.t, axis=0)) for r in behind_gears(whole).trials
+        )
+    )  # fmt: skip
+    assert np.all(np.isinf(std_of(arm(sheet=False), one)[0]))
+    model = replace(identified(arm(sheet=False), one, tmp_path / "a.parquet"), brakes=prbt_brakes(3))
+    with pytest.raises(NotCovered, match="most joints shows no rotor's inertia"):
+        StopBounds.of(model)
+    # nor is a data sheet kept in the torque for it
+    sheet = identified(arm(), one, tmp_path / "b.parquet")
+    assert not sheet.rotors_shown and np.all(rotor_of(sheet).hi >= ROTOR)
+
+
 def prbt_brakes(n: int):  # type: ignore[no-untyped-def]
     brakes = prbt_like((0.0, 0.0)).brakes
     assert brakes is not None

@@ -91,8 +91,8 @@ def windows_of(trials: Sequence[Trial], asked: SetProblem, where: Sequence[tuple
             if not np.all(np.abs(path[: steps + 1]) < RUNAWAY):
                 raise Diverges(
                     f"model {abstraction.kind} of order {abstraction.order} diverges from the recorded motion within "
-                    f"{steps * dt:.2f} s (trial {k}, {s * dt:.2f} s after its start); expected a bounded solution: take another "
-                    "order, or model 1"
+                    f"{steps * dt:.2f} s (trial {k}, {s * dt:.2f} s after its start); expected a bounded solution: take "
+                    f"{'--order 1' if abstraction.kind == 1 else 'another order, or --model 1'}"
                 )
 
         def answer(row: int, x: Array = x, u: Array = u, last: list[int] = last) -> Responses:

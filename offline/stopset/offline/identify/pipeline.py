@@ -117,10 +117,23 @@ def identified(
                 replace(run, settings=asked), part, progress, scheduler, deepcopy(tally) if keep == "sums" else None
             )
         except NotConformant as e:
-            raise NotConformant("; ".join([str(e), *part.limited])) from e
+            raise type(e)("; ".join([str(e), *part.limited])) from e
 
     first = replace(chosen, ladder=False)
     nominal = formed(first)
+
+    def first_sets() -> Identification:
+        """Of the order that predicts best, or where its predictions run away and nobody has asked for it, of the linear model."""
+        try:
+            return with_sets(first, nominal)
+        except Diverges as e:
+            if chosen.order is not None or chosen.model != 1 or nominal.abstraction.order == 1:
+                raise
+            progress(f"{e}; the linear model is taken")
+            linear = formed(replace(first, order=1))
+            note = f"order {nominal.abstraction.order} predicts best and runs away from some motion: order 1 was taken"
+            return with_sets(first, replace(linear, notes=(*linear.notes, note)))
+
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(
             f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
@@ -132,9 +145,9 @@ def identified(
             "signals, or take the linear model (--model 1 --order 1)"
         )
     if chosen.ladder and keep is None and meta.effort != "compensated_torque":
-        out = climbed(lambda: with_sets(first, nominal), nominal, learnt, chosen, meta.effort, (formed, with_sets), progress)
+        out = climbed(first_sets, nominal, learnt, chosen, meta.effort, (formed, with_sets), progress)
     else:
-        out = with_sets(first, nominal)
+        out = first_sets()
     out = stopped(out, stops, progress)
     return replace(out, retained=RetainedSignals(campaign, found.places, known)) if keep == "signals" else out
 
