@@ -43,8 +43,9 @@ def rotor_of(model: Model) -> Box:
         return Box(np.minimum(other, np.maximum(identified - half, 0.0)), np.maximum(other, identified + half))
     if not known.all():
         raise NotCovered(
-            f"the recorded torque of most joints shows no rotor's inertia and robot.json states none for {', '.join(np.array(model.joints)[~known])}; "
-            "brakes have to stop the rotors too: state reflected_motor_inertia_kgm2 there (0 where there is none) and identify again"
+            f"the recorded torque of most joints shows no rotor's inertia and robot.json states none for "
+            f"{', '.join(np.array(model.joints)[~known])}; brakes have to stop the rotors too: state "
+            "reflected_motor_inertia_kgm2 there (0 where there is none) and identify again"
         )
     return Box(np.maximum(stated - half, 0.0), stated + half)
 
