@@ -511,7 +511,9 @@ def test_a_decision_taken_again_brings_no_second_form_of_a_law_that_is_claimed()
     assert {c.effect.name for c in now.active if c.joints == (1,)} & {"cable", "counterbalance"} == {"cable"}
 
 
-@pytest.mark.parametrize(("effect", "shapes"), [("elasticity", {"K": 900.0, "D": 4.0}), ("delay", {"d0": 0.012}), ("spring", {})])
+@pytest.mark.parametrize(
+    ("effect", "shapes"), [("elasticity", {"K": 900.0, "D": 4.0}), ("delay", {"d0": 0.012}), ("asymmetric_coulomb", {})]
+)
 def test_a_score_is_the_evidence_that_the_model_gains(engine: Engine, effect: str, shapes: dict[str, float]) -> None:
     """What finely sought shapes cost is the same to a contender and to a claim, else a claim would not be what was scored."""
     (c,) = engine.add_all([(get(effect), (1,), shapes)])

@@ -249,6 +249,11 @@ def test_a_key_with_a_passphrase_signs_with_it_alone(cell: Path, capsys: pytest.
     ):  # fmt: skip
         assert main([*asked, str(cell / key), *more]) == 2
         assert says in capsys.readouterr().err and not signature_path(cell / "m.json").exists()
+    # one wrong passphrase in some hundred unpacks the key to what another error is raised for, as a damaged file does
+    lines = (cell / "locked").read_text().splitlines(keepends=True)
+    (cell / "damaged").write_text("".join([*lines[:-2], lines[-2].swapcase(), lines[-1]]))
+    assert main([*asked, str(cell / "damaged"), "--passphrase", str(cell / "word")]) == 2
+    assert "not its passphrase, or the file is damaged" in capsys.readouterr().err
     assert main([*asked, str(cell / "locked"), "--passphrase", str(cell / "word")]) == 0
     assert load_trusted(cell / "m.json", accepted(cell, "locked")).n == 6
 

@@ -285,8 +285,12 @@ def _pem(path: str | Path, read: Any, what: str) -> Any:
             f"{path}: no such file; expected a {what} key in PEM: make one with `stopset sign --new-key`"
         ) from e
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as e:
-        if isinstance(e, ValueError) and "ncorrect password" in str(e):
-            raise SigningKeyError(f"{path}: that is not its passphrase; expected the one it was made with: try again") from e
+        if isinstance(e, ValueError) and b"ENCRYPTED" in _small(
+            Path(path)
+        ):  # what a wrong passphrase makes of a key is told in several ways
+            raise SigningKeyError(
+                f"{path}: that is not its passphrase, or the file is damaged; expected the passphrase it was made with: try again"
+            ) from e
         raise SigningKeyError(
             f"{path} is no {what} key ({type(e).__name__}); expected PEM from `stopset sign --new-key`: give that"
         ) from e

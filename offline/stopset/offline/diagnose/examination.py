@@ -139,7 +139,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
-        c, taken = claim.scored.candidate, steps.get(k, Step(error, error, ""))
+        c = claim.scored.candidate
+        taken = steps.get(k, Step(error, error, "", c.joints))
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         surplus = bool(why) and not objections[k]

@@ -36,7 +36,7 @@ from stopset.offline.conform.nonlinear_sets import conform_nonlinear
 from stopset.offline.conform.tightness import Along, Tightness
 from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.identify.asked_effects import asked_effects
-from stopset.offline.identify.ladder import climbed
+from stopset.offline.identify.ladder import Abstracted, WithSets, climbed
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.signals_file import RetainedSignals
 from stopset.offline.identify.unseen import unseen
@@ -122,18 +122,6 @@ def identified(
     first = replace(chosen, ladder=False)
     nominal = formed(first)
 
-    def first_sets() -> Identification:
-        """Of the order that predicts best, or where its predictions run away and nobody has asked for it, of the linear model."""
-        try:
-            return with_sets(first, nominal)
-        except Diverges as e:
-            if chosen.order is not None or chosen.model != 1 or nominal.abstraction.order == 1:
-                raise
-            progress(f"{e}; the linear model is taken")
-            linear = formed(replace(first, order=1))
-            note = f"order {nominal.abstraction.order} predicts best and runs away from some motion: order 1 was taken"
-            return with_sets(first, replace(linear, notes=(*linear.notes, note)))
-
     if chosen.shape == "zonotope" and not nominal.abstraction.linear:
         raise NotCovered(
             f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
@@ -145,11 +133,33 @@ def identified(
             "signals, or take the linear model (--model 1 --order 1)"
         )
     if chosen.ladder and keep is None and meta.effort != "compensated_torque":
-        out = climbed(first_sets, nominal, learnt, chosen, meta.effort, (formed, with_sets), progress)
+        out = climbed(
+            lambda: _bounded(first, nominal, (formed, with_sets), progress),
+            nominal,
+            learnt,
+            chosen,
+            meta.effort,
+            (formed, with_sets),
+            progress,
+        )
     else:
-        out = first_sets()
+        out = _bounded(first, nominal, (formed, with_sets), progress)
     out = stopped(out, stops, progress)
     return replace(out, retained=RetainedSignals(campaign, found.places, known)) if keep == "signals" else out
+
+
+def _bounded(settings: Settings, nominal: NominalPart, steps: tuple[Abstracted, WithSets], progress: Progress) -> Identification:
+    """Of the order that predicts best, or where its predictions run away and nobody has asked for it, of the linear model."""
+    formed, with_sets = steps
+    try:
+        return with_sets(settings, nominal)
+    except Diverges as e:
+        if settings.order is not None or settings.model != 1 or nominal.abstraction.order == 1:
+            raise
+        progress(f"{e}; the linear model is taken")
+        linear = formed(replace(settings, order=1))
+        note = f"order {nominal.abstraction.order} predicts best and runs away from some motion: order 1 was taken"
+        return with_sets(settings, replace(linear, notes=(*linear.notes, note)))
 
 
 def _shared(run: Run, known: Sequence[Fitted]) -> tuple[Gain, ...]:

@@ -21,6 +21,7 @@ from stopset.offline.inspect.findings import (
     saturation,
     torque_beyond,
     torque_limits,
+    torque_sign,
     velocity,
 )
 from stopset.offline.inspect.inertia import Momentum
@@ -60,8 +61,9 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
             momentum.add(r)
         _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
         _refuse(beyond)
-    elif (hangs := mounting(robot, some)) is not None:
-        _refuse(mounted(hangs.gravity, hangs.angle, robot.chain.gravity))
+    elif not torque_sign(tally, robot.joints, compensated=False):  # torque of the wrong sign is not that of an arm on the ceiling
+        hangs = mounting(robot, some)
+        _refuse([] if hangs is None else mounted(hangs.gravity, hangs.angle, robot.chain.gravity))
     return _in_words(found)
 
 

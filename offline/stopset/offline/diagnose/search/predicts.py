@@ -16,16 +16,19 @@ from stopset.types import Array
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One claim more: held-out torque error (n,) [N m] ``before`` and ``after``, and why that is too little, empty where it is not."""
+    """One claim more: held-out torque error (n,) [N m] ``before`` and ``after``, why that is too little, empty where it is not, and at which
+    joints it acts, empty for the whole arm."""
 
     before: Array
     after: Array
     why: str
+    joints: tuple[int, ...] = ()
 
     @property
     def joint(self) -> int:
-        """Where it takes most away."""
-        return int(np.argmax(self.before - self.after))
+        """Where, of these, it takes most away."""
+        where = list(self.joints) or list(range(len(self.before)))
+        return where[int(np.argmax((self.before - self.after)[where]))]
 
 
 def step(
@@ -52,14 +55,14 @@ def judged(
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
     if candidate.effect.absorbed and not (earlier and now.engine.modelled):
-        return Step(before, after, "")
+        return Step(before, after, "", candidate.joints)
     where = list(candidate.joints) or list(range(len(before)))
     share = 1.0 - after[where] / before[where]
     lowered, expected, beside = float(np.max(share)), _least(candidate, earlier), ""
     if left and left[where[int(np.argmax(share))]] > limit.QUIET and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
     why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"
-    return Step(before, after, "" if lowered > expected else why)
+    return Step(before, after, "" if lowered > expected else why, candidate.joints)
 
 
 def _least(candidate: Candidate, earlier: Sequence[Candidate]) -> float:
