@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from stopset.artifact import UncertaintySets
+from stopset.artifact import Abstraction, UncertaintySets
 from stopset.effects.base import Fitted
 from stopset.effects.selection import matches
 from stopset.errors import NotConformant, NotCovered
@@ -121,17 +121,7 @@ def identified(
 
     first = replace(chosen, ladder=False)
     nominal = formed(first)
-
-    if chosen.shape == "zonotope" and not nominal.abstraction.linear:
-        raise NotCovered(
-            f"zonotopes are found for the linear model only, this is model {nominal.abstraction.kind} of order "
-            f"{nominal.abstraction.order}; leave --shape out, or take --model 1 --order 1"
-        )
-    if keep == "sums" and not nominal.abstraction.linear:
-        raise NotCovered(
-            f"model {chosen.model} of order {nominal.abstraction.order} does not fold: its windows are looked at together; keep "
-            "signals, or take the linear model (--model 1 --order 1)"
-        )
+    _check_linear(chosen, nominal.abstraction, keep)
     if chosen.ladder and keep is None and meta.effort != "compensated_torque":
         out = climbed(
             lambda: _bounded(first, nominal, (formed, with_sets), progress),
@@ -146,6 +136,20 @@ def identified(
         out = _bounded(first, nominal, (formed, with_sets), progress)
     out = stopped(out, stops, progress)
     return replace(out, retained=RetainedSignals(campaign, found.places, known)) if keep == "signals" else out
+
+
+def _check_linear(chosen: Settings, found: Abstraction, keep: Keep) -> None:
+    """Raises `NotCovered` where what was asked for is there for the linear model only."""
+    if chosen.shape == "zonotope" and not found.linear:
+        raise NotCovered(
+            f"zonotopes are found for the linear model only, this is model {found.kind} of order {found.order}; leave --shape out, or "
+            "take --model 1 --order 1"
+        )
+    if keep == "sums" and not found.linear:
+        raise NotCovered(
+            f"model {chosen.model} of order {found.order} does not fold: its windows are looked at together; keep signals, or take the "
+            "linear model (--model 1 --order 1)"
+        )
 
 
 def _bounded(settings: Settings, nominal: NominalPart, steps: tuple[Abstracted, WithSets], progress: Progress) -> Identification:
