@@ -325,6 +325,14 @@ def test_of_two_laws_as_good_as_equally_likely_the_simpler_is_named(stiffness: f
     assert found.claims[0].label == f"{named}:b"
 
 
+def test_an_offset_beside_what_pushes_is_no_cable() -> None:
+    """A spring cannot push, but a cable can do so over a part of the way: a finer form of what cannot be took its place."""
+    scenario = prepare(robot_from_text(ARM), ["none"], 53, "compact", "easy", "exact")
+    pulled = tuple(dataclasses.replace(r, tau=r.tau + np.array([0.0, 1.0]) * (0.5 - 0.15 * r.q)) for r in scenario.recordings())
+    found = diagnose(scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), pulled))
+    assert [c.label for c in found.claims] == ["asymmetric_coulomb:b"]
+
+
 def test_a_rotor_beyond_the_data_sheets_tolerance_is_named_and_not_called_a_delay() -> None:
     """A fifth more inertia than stated: a description's error common to all links must not excuse one rotor."""
     scenario = prepare(robot_from_text(ARM, SHEET), ["rotor_inertia:b"], 62, "compact", "hard", "exact")
