@@ -53,6 +53,7 @@ def test_the_card_names_domain_assumptions_and_kinds_of_stop() -> None:
     page, setting, ramp = page_of(model), bounds_of(model).setting, ramp_of(model)
     assert setting is not None and ramp is not None
     assert not page.open
+    assert not any("e-3" in x for x in setting.assumptions), "what rounding makes of zero is zero in words"
     assert set(setting.assumptions) <= set(page.texts) and any(x.startswith("brakes (") for x in page.texts)
     for kind in ("1", "1 guaranteed", "2"):
         assert set(ramp_assumptions(ramp, kind)) <= set(page.texts)

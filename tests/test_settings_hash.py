@@ -105,6 +105,7 @@ LEFT_OUT = (
     ("stopset.offline.abstraction.metrics", "REPEATED", "which scatters between repetitions are reported"),
     ("stopset.reach.stops.start", "NONE", "no extrapolation at all: what is known at the start as it is"),
     ("stopset.reach.stops.setting", "HEAVIEST FARTHEST", REFUSED),
+    ("stopset.reach.stops.setting", "NEXT_TO_NOTHING", WORDS),
     ("stopset.reach.stops.ramp", "KEY", FORMAT),
     ("stopset.reach.stops.ramp", "LONGEST STEEPEST QUICKEST", REFUSED),
     ("stopset.reach.stops.split", "FIELDS", CODES),

@@ -17,8 +17,12 @@ from stopset.reach.stops.words import REST, ramp_assumptions
 from stopset.sets import Box
 
 READ_FIRST = (
-    "Read the output `covered` first: where it is false, q_lo to dq_hi mean nothing. A stop bound stands where its `..._certified` is true; "
-    "where nothing is proved it is NaN."
+    "Read the output <code>covered</code> first: where it is false, q_lo to dq_hi mean nothing. A stop bound stands where its "
+    "<code>..._certified</code> is true; where nothing is proved it is NaN."
+)
+STYLE = (
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
+    "th,td{text-align:left;padding:0 1.5rem .2rem 0}p,li{overflow-wrap:anywhere}"
 )
 RAMPS: tuple[Category, ...] = ("1", "1 guaranteed", "2")  # of the kinds that follow a STOP 0
 
@@ -39,7 +43,7 @@ def card(model: Model, kinds: Sequence[StopCategory]) -> str:
         f"<h2>Domain</h2>{_domain(model)}",
         f"<h2>Stop bounds</h2>{_stops(model, kinds)}",
     ]
-    head = f"<head><meta charset='utf-8'><title>{escape(model.robot.name)}: stopset FMU</title></head>"
+    head = f"<head><meta charset='utf-8'><title>{escape(model.robot.name)}: stopset FMU</title><style>{STYLE}</style></head>"
     return f"<!DOCTYPE html><html lang='en'>{head}<body>{''.join(body)}</body></html>\n"
 
 

@@ -19,6 +19,7 @@ from stopset.sets import Box
 from stopset.types import Array
 
 OUTSIDE = "EXTRAPOLATED STATE, outside the identified domain"
+NEXT_TO_NOTHING = 1e-300  # what rounding outwards makes of zero, in words
 HEAVIEST, FARTHEST = 1000.0, 10.0  # [kg], [m] of a payload and its centre: beyond, a unit was mistaken
 
 
@@ -242,4 +243,5 @@ def _list(x: Array, scale: float = 1.0) -> str:
 
 
 def _range(box: Box, scale: float = 1.0) -> str:
-    return " ".join(f"[{scale * a:.3g}, {scale * b:.3g}]" for a, b in zip(box.lo, box.hi, strict=True))
+    ends = [[0.0 if abs(x) < NEXT_TO_NOTHING else scale * x for x in side.tolist()] for side in (box.lo, box.hi)]
+    return " ".join(f"[{a:.3g}, {b:.3g}]" for a, b in zip(*ends, strict=True))
