@@ -22,16 +22,9 @@ from pathlib import Path
 import monitor
 import numpy as np
 
+from allocation_counter import COUNTER
+
 CYCLES, WARM = 14_000, 4_000
-COUNTER = """
-#include <stddef.h>
-extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t);
-static __thread long taken;
-long allocations_of_this_thread(void) { return taken; }
-void *malloc(size_t n) { taken++; return __libc_malloc(n); }
-void *calloc(size_t m, size_t n) { taken++; return __libc_calloc(m, n); }
-void *realloc(void *p, size_t n) { taken++; return __libc_realloc(p, n); }
-"""
 
 
 class Counted:

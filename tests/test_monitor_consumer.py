@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from allocation_counter import COUNTER
 from float32 import outward
 from monitor_process import compiled, environment
 from state_messages import pack
@@ -324,15 +325,6 @@ def test_who_speaks_otherwise_than_is_expected_is_told_as_that() -> None:
     assert c.state(T + 120 * MS) is State.FAULT and c.why is Fault.SILENT
 
 
-COUNTER = """
-#include <stddef.h>
-extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t);
-static __thread long taken;
-long allocations_of_this_thread(void) { return taken; }
-void *malloc(size_t n) { taken++; return __libc_malloc(n); }
-void *calloc(size_t m, size_t n) { taken++; return __libc_calloc(m, n); }
-void *realloc(void *p, size_t n) { taken++; return __libc_realloc(p, n); }
-"""
 CODES = """
 import ctypes
 from stopset.monitor.authentication import Key

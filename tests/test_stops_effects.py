@@ -22,7 +22,7 @@ from stopset.artifact import Model, save_model
 from stopset.cli.main import main
 from stopset.effects import Effect, Signals, Term, catalogue, check, get
 from stopset.effects.base import Fitted, Number
-from stopset.effects.bound import ACTING, SIGMAS
+from stopset.effects.bound import ACTING, SIGMAS, parameter
 from stopset.errors import EffectError, NotCovered
 from stopset.fmu.sources import sources
 from stopset.fmu.stops import bounds_of, stop_data, stop_refusal
@@ -106,6 +106,15 @@ def others(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     monkeypatch.undo()
     registry.catalogue.cache_clear()
+
+
+def test_a_number_beyond_its_range_keeps_its_uncertainty() -> None:
+    """Springs of older models may push; cut at their own value, their stops were bounded as if that were exact on one side."""
+    k = get("spring").terms[0]
+    inside, beyond = (parameter([Fitted("spring", "a", {"k": v, "c": 0.0}, {"k": 0.1, "c": 0.0})], k) for v in (0.2, -0.3))
+    assert (float(inside.lo[0]), float(beyond.lo[0]), float(beyond.hi[0])) == pytest.approx(
+        (0.0, -0.3 - SIGMAS * 0.1, -0.3 + SIGMAS * 0.1)
+    )
 
 
 def test_a_slope_holds_every_value_and_how_fast_it_grows() -> None:

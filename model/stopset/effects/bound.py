@@ -45,12 +45,15 @@ class Unbounded:
 
 
 def parameter(fitted: Sequence[Fitted], p: Term | Shape) -> Interval:
-    """A parameter with its uncertainty, cut at its admissible range, (m,); all of that range where the uncertainty is no number."""
+    """A parameter with its uncertainty, cut at its admissible range, (m,); all of that range where the uncertainty is no number.
+
+    A value beyond that range, of an older model, shows that the range is none there: its uncertainty is not cut.
+    """
     value = np.array([float(f.values[p.symbol]) for f in fitted])
     spread = SIGMAS * np.array([float(f.std.get(p.symbol) or 0.0) for f in fitted])
     spread = np.where(np.isfinite(spread), spread, np.inf)
-    lo = np.maximum(value - spread, np.minimum(p.lo, value))
-    hi = np.minimum(value + spread, np.maximum(p.hi, value))
+    lo = np.where(value < p.lo, value - spread, np.maximum(value - spread, p.lo))
+    hi = np.where(value > p.hi, value + spread, np.minimum(value + spread, p.hi))
     if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi))):
         raise NotCovered(f"its {p.symbol} has no bound")
     return Interval(lo, hi)
