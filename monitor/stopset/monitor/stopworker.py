@@ -33,7 +33,7 @@ PARENT_S = 0.5  # [s] between looks whether the daemon still lives
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class PreparedStops:
     """The bounds of a model over all that its flange may carry (`whole`), and over two parts of that range, the heavier first.
 
     A payload is one mass throughout a stop, so it lies in one of the parts: the worst of their bounds holds, too. Where the kinetic
@@ -44,7 +44,7 @@ class Prepared:
     parts: tuple[StopBounds, ...]
 
     @classmethod
-    def of(cls, model: Model, payload: Masses | None, ramp: Ramp | None) -> Prepared:
+    def of(cls, model: Model, payload: Masses | None, ramp: Ramp | None) -> PreparedStops:
         """Raises `NotCovered` for a payload that the model does not cover."""
         whole = StopBounds.of(model, payload, ramp=ramp, fast=True)
         least, most = assumed(model, payload)
@@ -112,7 +112,7 @@ def asked(pipe: Connection) -> Iterator[Any]:
         yield request
 
 
-def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str = "") -> tuple[Prepared | None, str]:
+def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str = "") -> tuple[PreparedStops | None, str]:
     """The bounds of a model, with this ``sha256`` if given, with the ramp that is stated; or None and why there are none."""
     model = load_model(model_path)
     ramp = None
@@ -126,12 +126,12 @@ def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str =
                 f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
                 "have the monitor read it anew (SIGHUP), or restore it"
             )
-        return Prepared.of(model, payload, ramp), ""
+        return PreparedStops.of(model, payload, ramp), ""
     except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
         return None, str(e)
 
 
-def answer_for(prepared: Prepared, category: str, lo: Array, hi: Array) -> Certificate:
+def answer_for(prepared: PreparedStops, category: str, lo: Array, hi: Array) -> Certificate:
     """The bound for every measured state ``lo <= (q, dq) <= hi``, (2n,) each; whatever goes wrong is its reason to have none."""
     begin, spent, n = time.monotonic(), time.thread_time(), len(lo) // 2
     middle = 0.5 * (lo + hi)
