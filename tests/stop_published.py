@@ -206,7 +206,7 @@ def failed_ramp(
     """STOP 1 whose ramp fails, joint by joint, until power is taken."""
     assert bounds.ramp is not None
     for rng, arm, u, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
-        shares = failing_shares(bounds.ramp, dq, rng)
+        shares = failing_shares(bounds.ramp, v0, rng)  # a fixed deceleration takes the longer, the faster the arm truly is
         before = np.vstack([np.zeros(len(q)), np.cumsum(shares * v0 * DT, axis=0)])
         qs, vs = _cut(arm, u, q0 + before[-1], shares[-1] * v0, lasts)
         t = np.arange(len(before) - 1 + len(qs)) * DT

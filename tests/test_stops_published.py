@@ -36,6 +36,7 @@ RAMP = replace(
 )  # fmt: skip
 BOUNDS = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMP, pieces=8)
 WATCHED = replace(BOUNDS, ramp=replace(RAMP, monitored=True, off_after=None))
+BRAKED = replace(WATCHED, ramp=replace(RAMP, kind="deceleration", value=Box.of(np.full(N, 2.0), np.full(N, 2.2)), monitored=True, off_after=None))
 POINT = (np.zeros(N), np.zeros(N))
 BOX = (np.full(N, 0.01), np.full(N, 0.05))
 
@@ -67,7 +68,7 @@ def test_every_number_has_a_check() -> None:
 @pytest.mark.parametrize("radii", [POINT, BOX], ids=["a state", "a monitor's box"])
 def test_no_stop_contradicts_a_number(category: Category, radii: tuple[np.ndarray, np.ndarray]) -> None:
     for q, dq in states():
-        for bounds in (BOUNDS, WATCHED) if category == "1 guaranteed" else (BOUNDS,):
+        for bounds in (BOUNDS, WATCHED, BRAKED) if category == "1 guaranteed" else (BOUNDS,):
             bound = bounds.bound(q, dq, category, *radii)
             assert bound.certified, bound.why
             for x in stops_of(bounds, bound, q, dq, radii):
@@ -86,6 +87,19 @@ def test_each_number_made_too_small_is_contradicted(category: Category) -> None:
             weak = weakened(bound, name)
             found |= {name for x in stops[: STOPS // 2] if name in beyond(BOUNDS, weak, x)}
     assert found == set(CHECKED) - (set() if category == "2" else {"fallback"})
+
+
+@pytest.mark.parametrize("kind", ["time", "deceleration"])
+def test_a_motion_that_gets_faster_is_fastest_when_its_ramp_begins(kind: str) -> None:
+    """That moment lies between the steps of a grid: at 24 ms, the rest of the ramp being some hundred."""
+    about = {"time": Ramp.stated(N, time=0.5, control=0.05), "deceleration": Ramp.stated(N, deceleration=3.0, control=0.05)}[kind]
+    bounds = replace(BOUNDS, ramp=replace(about, pace=(-2.0, 2.0)))
+    q, dq = np.array([0.3, 0.6, -0.8, 0.2, 0.4, 0.0]), np.full(N, 1.1)
+    bound = bounds.bound(q, dq, "1")
+    assert bound.certified, bound.why
+    speed = (dq + bounds.setting.noise.radius[N:]) * (1.0 + 2.0 * 0.05)
+    assert np.all(speed <= bound.speed + 1e-12)
+    assert np.all(bound.speed < 1.01 * speed)
 
 
 def test_no_stop_along_a_path_contradicts_a_number() -> None:
