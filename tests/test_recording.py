@@ -12,7 +12,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 
-import stopset.recording.reader as reader
+import stopset.recording.files as files
 from stopset.errors import RecordingError
 from stopset.offline.campaign.source import campaign_of
 from stopset.recording import Meta, Recording, read_meta, read_recordings, stream_recordings, write_recordings
@@ -73,7 +73,7 @@ def test_borders_of_batches_fall_anywhere(
 ) -> None:
     path = save(tmp_path / "a.parquet", columns(trials, JOINTS), meta(JOINTS), row_group_size=max(rows, 2))
     expected = read_recordings(path)
-    monkeypatch.setattr(reader, "BATCH_ROWS", rows)
+    monkeypatch.setattr(files, "BATCH_ROWS", rows)
     got = read_recordings(path)
     assert len(got) == len(trials)
     for a, b in zip(got, expected, strict=True):
@@ -258,7 +258,7 @@ def test_where_no_column_says_so_the_clock_tells_trials(
     trials: list[Recording], tmp_path: Path, rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each trial's clock begins anew; in a second file it goes on, after a pause."""
-    monkeypatch.setattr(reader, "BATCH_ROWS", rows)
+    monkeypatch.setattr(files, "BATCH_ROWS", rows)
     for name, begin in (("anew", np.zeros(len(trials))), ("on", 5.0 * np.arange(len(trials)))):
         shifted = [dataclasses.replace(r, t=r.t + b, temp=None) for r, b in zip(trials, begin, strict=True)]
         table = {k: v for k, v in columns(shifted, JOINTS).items() if k not in ("phase", "suite", "trial")}

@@ -44,6 +44,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _print_answer(r: Inspection) -> None:
     o = r.offers
+    wrong = [f"[{f.severity}] {f.says}" for f in r.findings] + ([f"[error] {r.refused}"] if r.refused else [])
+    if not o["trials"]:  # nothing was read: there is nothing to tell but why
+        say(r.path)
+        _list("wrong", wrong)
+        return
     rate = f"{o['rate_hz']:.4g} Hz" if o["rate_hz"] else "unknown rate"
     say(f"{r.path}\n  {o['trials']} trials, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, "
         f"{o['velocity']} velocity, {o['clock']} clock; channels {', '.join(o['channels'])}")  # fmt: skip
@@ -53,7 +58,7 @@ def _print_answer(r: Inspection) -> None:
         say(f"  {phase:12} {p['trials']:5} trials of {p['motions']} suites, {p['seconds']:.4g} s")
     for joint, x in o["joints"].items():
         say(f"  {joint:24} q {_range(x['q'], 'rad')}  dq {_range(x['dq'], 'rad/s')}  tau {_range(x['tau'], 'N m')}")
-    _list("wrong", [f"[{f.severity}] {f.says}" for f in r.findings] + ([f"[error] {r.refused}"] if r.refused else []))
+    _list("wrong", wrong)
     _list("missing for identification", [m.says for m in r.missing])
 
 

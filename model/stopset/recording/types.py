@@ -64,6 +64,8 @@ class Recording:
     condition: str = ""  # what the arm carried, which day it was: recordings of different conditions are not fitted as one
     rounded: float = 0.0  # [s] what its stamps were printed to, where they were put back on the even clock they came from
     bent: tuple[float, float] = (0.0, 0.0)  # [s] left out at its beginning and end, where speeds contradict positions
+    twice: int = 0  # rows left out that were written twice
+    unread: int = 0  # rows left out that lack numbers, see `sound_rows`
     repetition: int = UNCOUNTED
     begun: int = UNCOUNTED
 

@@ -67,7 +67,9 @@ from stopset.offline.nominal import (
 from stopset.reach import nonlinear as flow
 from stopset.reach.stops import bounds, brakes, failed, gravity, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
+from stopset.recording import clock as recorded_clock
 from stopset.recording import ends, reader
+from stopset.recording import rows as recorded_rows
 from stopset.ring import interval
 from stopset.robot import drives, generic
 
@@ -75,7 +77,9 @@ SCHEMA = 2  # of the hash: counted up when a name changes or the way values are 
 
 # (name of the group, module its constants stand in today, their names)
 TABLE: tuple[tuple[str, ModuleType, str], ...] = (
-    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED FEWEST_STAMPS PRINTED ROUGH PAUSE SLOWER"),
+    ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED"),
+    ("reading", recorded_clock, "FEWEST_STAMPS PRINTED ROUGH WIDE PAUSE SLOWER"),
+    ("reading", recorded_rows, "UNREAD"),
     ("bent ends", ends, "SLOPE EDGE FEWEST OFF USUAL FADES MOSTLY"),
     ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),

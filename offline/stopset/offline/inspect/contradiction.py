@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.inspect.findings import Finding
+from stopset.offline.inspect.finding import Finding
 from stopset.offline.nominal.delay import Delay, joint_reduced, lag_in_words, lag_weights, own_clock
 from stopset.offline.nominal.fit import problem_of, residual
 from stopset.offline.nominal.nominal import Nominal, solve_nominal

@@ -11,19 +11,10 @@ from itertools import groupby
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
-from stopset.offline.inspect.findings import (
-    RIGHT,
-    RIGHT_TORN,
-    Finding,
-    clock,
-    mounted,
-    readings,
-    saturation,
-    torque_beyond,
-    torque_limits,
-    torque_sign,
-    velocity,
-)
+from stopset.offline.inspect.finding import Finding
+from stopset.offline.inspect.findings_clock import clock
+from stopset.offline.inspect.findings_signals import readings, saturation, velocity
+from stopset.offline.inspect.findings_torque import RIGHT, RIGHT_TORN, mounted, torque_beyond, torque_limits, torque_sign
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.mounting import mounting

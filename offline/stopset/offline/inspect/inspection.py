@@ -12,9 +12,11 @@ import numpy as np
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import independent_motions
-from stopset.offline.inspect import findings as detect
+from stopset.offline.inspect import findings_torque
 from stopset.offline.inspect.contradiction import contradictions
-from stopset.offline.inspect.findings import Finding
+from stopset.offline.inspect.finding import Finding
+from stopset.offline.inspect.findings_clock import clock
+from stopset.offline.inspect.findings_signals import readings, saturation, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.mounting import mounting
 from stopset.offline.inspect.needs import Inventory, Need, needs
@@ -167,7 +169,8 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, s
     except RecordingError as e:
         refused = " ".join(str(e).split())
     found = _findings(campaign, joints, meta, robot, data)
-    missing = tuple(_missing(campaign, meta, robot))
+    # of a file that breaks off before its first trial nothing is known, what it lacks neither
+    missing = () if refused and not campaign.trials else tuple(_missing(campaign, meta, robot))
     return Inspection(str(path), _offers(campaign, meta, joints), missing, tuple(found), refused), campaign.seen, data
 
 
@@ -175,31 +178,31 @@ def _findings(
     campaign: _Campaign, joints: Sequence[str], meta: Meta, robot: Robot | None, data: NormalEquations | None
 ) -> list[Finding]:
     t = campaign.tally
-    speeds = detect.velocity(t, joints, meta)
-    clock = detect.clock(t, meta, dq_sound=all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds))
-    if any(f.kind == "dropped_samples" for f in clock):  # stamps made up for fewer samples run slow by that alone
+    speeds = velocity(t, joints, meta)
+    stamps = clock(t, meta, dq_sound=all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds))
+    if any(f.kind == "dropped_samples" for f in stamps):  # stamps made up for fewer samples run slow by that alone
         speeds = [f for f in speeds if f.kind != "clock_scale"]
-    out = [*clock, *speeds, *detect.readings(t, joints), *detect.saturation(t, joints)]
+    out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints)]
     if t.trials == 0:
         return out
-    sign = detect.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
+    sign = findings_torque.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
     if robot is not None:
-        out += detect.torque_limits(t, joints, robot.torque_limit)
+        out += findings_torque.torque_limits(t, joints, robot.torque_limit)
     if robot is None or data is None:
         out += sign
     elif in_degrees := degrees(campaign.sample, robot) if meta.effort != "compensated_torque" else []:
         return out + in_degrees  # nothing else that rests on positions can be told
     else:
         # made-up stamps tear accelerations apart: what rests on them would be one more wrong claim
-        torn = any(f.severity == "error" for f in clock)
+        torn = any(f.severity == "error" for f in stamps)
         scales = torque_scales(robot, data) if campaign.momentum is None else campaign.momentum.scales()
         hangs = None if torn or sign or meta.effort == "compensated_torque" else mounting(robot, campaign.heard)
         if hangs is not None:  # whatever else the rigid body would say rests on gravity
-            out += detect.mounted(hangs.gravity, hangs.angle, robot.chain.gravity)
+            out += findings_torque.mounted(hangs.gravity, hangs.angle, robot.chain.gravity)
         else:
             out += _torque(robot, data, scales, meta, sign, torn=torn)
         if meta.effort != "compensated_torque" and not torn:
-            out += detect.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
+            out += findings_torque.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
 
 
@@ -208,7 +211,7 @@ def _torque(
 ) -> list[Finding]:
     """Torque held against the robot's own model: sign and unit, and where these are right, the delay."""
     compensated = meta.effort == "compensated_torque"
-    against = against_model(robot, meta, *scales, detect.RIGHT_TORN if torn or compensated else detect.RIGHT)
+    against = against_model(robot, meta, *scales, findings_torque.RIGHT_TORN if torn or compensated else findings_torque.RIGHT)
     blamed = {f.joint for f in against}
     out = [*against, *(f for f in sign if f.joint not in blamed)]
     if torn or any(f.severity == "error" for f in against) or (sign and compensated):
@@ -217,12 +220,12 @@ def _torque(
     if (
         delay.beyond and not compensated
     ):  # torque that belongs to another moment seems turned, and what else is said of it is none of it
-        return detect.torque_beyond(delay.beyond)
+        return findings_torque.torque_beyond(delay.beyond)
     if out:
         return out
-    least = detect.DELAY_COMPENSATED if compensated else detect.DELAY
+    least = findings_torque.DELAY_COMPENSATED if compensated else findings_torque.DELAY
     off = 1.0 if compensated or not data.rows_moving.any() else solve_nominal(robot, data).off
-    return detect.description(off) + detect.torque_delay(
+    return findings_torque.description(off) + findings_torque.torque_delay(
         delay.common, delay.common_std, delay.joint, delay.std, delay.hold * 2, robot.joints, least
     )
 
@@ -235,7 +238,7 @@ def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tup
     gear = np.array([d.gear_ratio for d in robot.drives])
     by = dict(zip(meta.joints, meta.torque_constant, strict=True)) if meta.torque_constant is not None else {}
     constant = np.array([by.get(j, np.nan) for j in robot.joints])
-    return detect.torque_scale(scale, std, robot.joints, gear, constant, right)
+    return findings_torque.torque_scale(scale, std, robot.joints, gear, constant, right)
 
 
 def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.inspect.reversals import steps
-from stopset.recording.reader import PAUSE
+from stopset.recording.clock import PAUSE
 from stopset.recording.types import Recording
 from stopset.types import Array
 
@@ -17,6 +17,7 @@ SURE = 3.0  # standard errors of the usual period by which stamps must run late 
 GAP = 1.6  # periods between stamps from which on a sample is missing
 JUMP, JUMPS_OUT = 0.05, 10.0  # [rad] that no sample explains, and times what the steps of q beside dq usually are
 RARE = 0.01  # share of a trial's steps up to which they are jumps, and not a dq that does not follow
+STILL = 6.0  # steps of the encoder per window, root mean square: noise makes less
 WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short against a motion
 LAGS = 15  # samples to each side in which dq is compared with the derivative of q
 MOVING = 0.02  # [rad/s]
@@ -51,6 +52,8 @@ class SignalSums:
     jumps_of_q: list[Jump] = field(default_factory=list)
     repeated: int = 0  # samples that repeat all signals in the middle of a motion
     jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample, between steps that it does
+    twice: int = 0  # rows that the reader left out, as written twice
+    unread: int = 0  # and as lacking numbers
     rounded: float = 0.0  # [s] what stamps were printed to, where that is a good part of the period
     settling: float = 0.0  # [s] at a trial's start during which dq does not follow q yet, at most
     bent: tuple[float, float] = (0.0, 0.0)  # [s] that the reader left out at a trial's ends, at most
@@ -69,6 +72,7 @@ class SignalSums:
     range_dq: Array = field(init=False)
     range_tau: Array = field(init=False)
     range_temp: Array = field(init=False)
+    levels: Array = field(init=False)  # different sizes of torque in a trial, at most
     acceleration: Array = field(init=False)  # largest, smoothed over WINDOW
     slow: Array = field(init=False)  # samples in motion below a tenth of the largest speed so far ... of dq_limit
     plateaus: list[tuple[str, int, float, int]] = field(default_factory=list)  # signal, joint, value, samples
@@ -77,15 +81,22 @@ class SignalSums:
         n = self.n
         self.travel, self.difference, self.power, self.turns = (np.zeros((k, n)) for k in (3, 3, 2, 3))
         self.lagged, self.speed2 = np.zeros((2 * LAGS + 1, n)), np.zeros(n)
-        self.resolution, self.acceleration, self.slow = np.full(n, np.inf), np.zeros(n), np.zeros(n)
+        self.resolution, self.acceleration, self.slow, self.levels = np.full(n, np.inf), np.zeros(n), np.zeros(n), np.zeros(n)
         for name in ("range_q", "range_dq", "range_tau", "range_temp"):
             setattr(self, name, np.tile([np.inf, -np.inf], (n, 1)))
+
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """(n,) whether a joint went further than the steps of its encoder, and than many windows of noise at standstill add up to."""
+        step = np.where(np.isfinite(self.resolution), self.resolution, 0.0)
+        return np.asarray(self.travel[0] > np.maximum((30 * step) ** 2, self.windows * (STILL * step) ** 2))
 
     def add(self, r: Recording) -> None:
         """Fold in one trial."""
         self.trials += 1
         self.samples += len(r.t)
         self.seconds += float(r.t[-1] - r.t[0])
+        self.twice, self.unread = self.twice + r.twice, self.unread + r.unread
         for name, x in (("range_q", r.q), ("range_dq", r.dq), ("range_tau", r.tau), ("range_temp", r.temp)):
             if x is not None:
                 old = getattr(self, name)
@@ -191,6 +202,8 @@ class SignalSums:
                 continue
             size = np.abs(x)
             for j in range(self.n):
+                if name == "tau":
+                    self.levels[j] = max(self.levels[j], len(np.unique(size[:, j])))
                 top = float(size[:, j].max())
                 if top <= 0 or (name == "dq" and top < MOVING):
                     continue

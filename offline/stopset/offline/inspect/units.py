@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stopset.offline.inspect.findings import Finding
+from stopset.offline.inspect.finding import Finding
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques

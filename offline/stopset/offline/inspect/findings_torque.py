@@ -1,0 +1,178 @@
+"""Torque against friction and the robot's own rigid body: sign, unit, delay, mounting, another arm's description."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from stopset.offline.inspect.finding import Finding
+from stopset.offline.inspect.tally import SignalSums
+from stopset.offline.nominal.fit import ANOTHER_ARM, NOTABLY_OFF, another_arm
+from stopset.offline.nominal.low_pass import TURNS_OVER
+from stopset.types import Array
+
+RIGHT = (0.4, 2.5)  # measured over modelled torque: payload, drive gain and CAD errors live here
+RIGHT_TORN = (0.1, 10.0)  # the same where samples were lost and stamps made up, so that accelerations are wrong
+OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
+FEWEST_TURNS = 4  # reversals of a joint from which on their scatter is known at all
+TURNED = 3.5  # standard deviations below zero: by chance in one of 4000 joints whose sign is right and that have no friction
+DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
+DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
+
+
+def torque_sign(t: SignalSums, joints: Sequence[str], *, compensated: bool) -> list[Finding]:
+    """Wrong sign of torque, from friction alone: against a joint that turns round, or ``compensated`` for that, in what it takes in."""
+    return _by_power(t, joints) if compensated else _by_reversals(t, joints)
+
+
+def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
+    """Each joint by its own steps; where these together say it of the arm, every joint whose torque steps down."""
+    judged = np.flatnonzero(t.moved & (t.turns[0] >= FEWEST_TURNS))
+    count, total, squares = t.turns[:, judged]
+    step = total / count
+    error = np.sqrt(np.maximum(squares / count - step**2, 0.0) / (count - 1))
+    sure = stats.norm.ppf(np.clip(stats.t.cdf(step / np.maximum(error, 1e-9), count - 1), 1e-12, 1 - 1e-12))
+    together = len(judged) > 1 and float(sure.sum()) < -TURNED * np.sqrt(len(judged)) and int((step < 0).sum()) * 2 > len(judged)
+    do = "turn the sign of tau, of all joints as it seems" if together else "turn the sign of tau (or of q and dq)"
+    return [
+        Finding("wrong_sign", "error", joints[int(judged[k])],
+                f"at {int(count[k])} reversals the torque steps by {2 * step[k]:.3g} +- {2 * error[k]:.2g} N m along the new direction",
+                "a step up, as friction makes it in torque and motion of one clock", do, float(step[k]))
+        for k in np.flatnonzero((step < 0) if together else sure < -TURNED)
+    ]  # fmt: skip
+
+
+def _by_power(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
+    out = []
+    net, gross = t.power
+    moved = t.moved
+    for j, joint in enumerate(joints):
+        if moved[j] and net[j] < -0.15 * gross[j]:
+            out.append(
+                Finding("wrong_sign", "error", joint,
+                        f"the torque takes energy out of the motion ({100 * net[j] / gross[j]:.0f} % net power)",
+                        "energy put in, to feed friction", "turn the sign of tau (or of q and dq)", float(net[j] / gross[j]))
+            )  # fmt: skip
+    return out
+
+
+def torque_scale(
+    scale: Array, std: Array, joints: Sequence[str], gear: Array, constant: Array, right: tuple[float, float] = RIGHT
+) -> list[Finding]:
+    """Wrong unit or sign of torque against the robot's own model: ``scale`` (n,) measured over modelled rigid-body torque."""
+    out = []
+    for j, joint in enumerate(joints):
+        k = float(scale[j])
+        if not np.isfinite(k) or not np.isfinite(std[j]) or std[j] > 0.1 * abs(k) or k == 0:
+            continue  # the motion does not tell, or nobody recorded a torque
+        if right[0] < k < right[1]:
+            continue
+        if k < 0 and right[0] < -k < right[1]:
+            out.append(
+                Finding("wrong_sign", "error", joint, f"the torque is {k:.3g} times what the rigid body needs", "about 1",
+                        "turn the sign of tau", k)
+            )  # fmt: skip
+            continue
+        known = {
+            1e3: "it is in mN m", 1e-3: "it is in kN m", 1 / gear[j]: "it is motor side: times the gear ratio",
+            1 / constant[j]: "it is in ampere: times the torque constant", 100.0: "it is in N cm",
+        }  # fmt: skip
+        near = min((abs(np.log(abs(k) / r)), m) for r, m in known.items() if np.isfinite(r) and r > 0)
+        explained = near[0] < 0.4
+        alike = np.isfinite(scale) & (np.abs(np.log(np.abs(np.where(scale == 0, 1e-12, scale)) / abs(k))) < np.log(3))
+        seen = f"the torque is {k:.3g} times what the rigid body needs" + (f" ({near[1]})" if explained else "")
+        # by a factor no unit explains, it is a payload, the CAD or a gain rather than a column in another unit
+        sure = explained or (alike.sum() > 1 and not RIGHT_TORN[0] < abs(k) < RIGHT_TORN[1])
+        do = "convert tau, or correct gear ratio and torque constant" if sure else "a payload, or a wrong CAD or gain: check them"
+        out.append(Finding("wrong_unit" if sure else "torque_scale", "error" if sure else "warning", joint, seen,
+                           "about 1, N m on the link side", do, k))  # fmt: skip
+    return out
+
+
+def torque_delay(
+    common: float, std: float, joint: Array, joint_std: Array, period: float, joints: Sequence[str], least: float = DELAY
+) -> list[Finding]:
+    """Torque stamped apart from the motion: all joints alike (clocks), or one apart from the rest (its drive)."""
+    least = max(least, 0.6 * period)
+    own = max(OWN_DELAY, least, 1.2 * period)
+
+    def significant(d: float, s: float, limit: float) -> bool:
+        return bool(np.isfinite(d) and np.isfinite(s) and abs(d) > max(limit, 4 * s))
+
+    def finding(name: str | None, d: float, s: float, against: str, least: float) -> Finding:
+        seen = f"the torque is {abs(d) * 1e3:.1f} +- {s * 1e3:.1f} ms {'late' if d < 0 else 'early'} against {against}"
+        return Finding("torque_delay", "warning", name, seen, f"less than {least * 1e3:.1f} ms",
+                       "identification takes a common delay out; look for different clocks or a filter", d)  # fmt: skip
+
+    out = [finding(None, common, std, "the motion", least)] if significant(common, std, least) else []
+    for j, name in enumerate(joints):
+        d, s = float(joint[j] - common), float(np.hypot(joint_std[j], std))
+        if significant(d, s, own):
+            out.append(finding(name, d, s, "the other joints'", own))
+    return out
+
+
+def torque_beyond(end: float) -> list[Finding]:
+    """All joints' torque farther from the motion than was searched, up to ``end`` [s]; 0: it is not."""
+    if not end:
+        return []
+    return [
+        Finding("torque_delay", "error", None, f"the torque of all joints is more than {abs(end) * 1e3:.0f} ms {'late' if end < 0 else 'early'} "
+                "against the motion", "torque and motion of one clock", "put them on one: such a lag looks like friction and inertia", end)
+    ]  # fmt: skip
+
+
+def torque_smoothed(cutoff: float) -> list[Finding]:
+    """A low-pass without phase that the torque went through before it was recorded, where one was found: ``cutoff`` [Hz] above 0."""
+    if not cutoff:
+        return []
+    return [
+        Finding("torque_smoothed", "warning", None,
+                f"the torque went through a low-pass of about {cutoff:.2g} Hz, forwards and backwards, so that friction turns over "
+                f"{TURNS_OVER / cutoff:.2g} s too slowly at every reversal",
+                "torque as the drives report it", "record it unfiltered; identification passes its model through the same filter",
+                cutoff)
+    ]  # fmt: skip
+
+
+def mounted(gravity: Array, angle: float, described: Array) -> list[Finding]:
+    """The arm hangs or stands otherwise than described: ``gravity`` [m/s^2] (3,) that its torque asks for, ``angle`` [rad] from the ``described``."""
+
+    def numbers(x: Array) -> str:
+        return ", ".join(f"{v:.3g}" for v in np.round(x, 2) + 0.0)
+
+    return [
+        Finding("mounting", "error", None,
+                f"the torque is that of an arm with gravity along [{numbers(gravity)}] m/s^2 in its base frame, {np.degrees(angle):.0f} degrees "
+                "from the description's",
+                f"gravity as described, [{numbers(described)}]",
+                f'if the arm is mounted so, say "gravity": [{numbers(gravity)}] in robot.json; else look at zeros and axes of the joints', angle)
+    ]  # fmt: skip
+
+
+def description(off: float) -> list[Finding]:
+    """Rigid body and friction ask for a description ``off`` by so many times its tolerance; what `identify` says, too."""
+    if off <= NOTABLY_OFF:
+        return []
+    another = off >= ANOTHER_ARM
+    return [
+        Finding("description", "warning" if another else "note", None,
+                f"the torque contradicts the robot's description: its masses, centres and inertias would be {off:.1f} times as far off as "
+                "descriptions are",
+                "the description of this arm, as it is mounted, with what it carries",
+                f"look whether it is another arm's{another_arm(off)}" if another else "go on: identification believes it as much less",
+                off)
+    ]  # fmt: skip
+
+
+def torque_limits(t: SignalSums, joints: Sequence[str], limit: Array) -> list[Finding]:
+    """More torque than the drive has."""
+    top = np.abs(t.range_tau).max(axis=1)
+    return [
+        Finding("wrong_unit", "error", joint, f"the torque reaches {top[j]:.4g}", f"at most the drive's {limit[j]:.4g} N m",
+                "convert tau to N m on the link side, or correct the data sheet", float(top[j]))
+        for j, joint in enumerate(joints)
+        if np.isfinite(limit[j]) and np.isfinite(top[j]) and top[j] > 3 * limit[j]
+    ]  # fmt: skip
