@@ -36,7 +36,10 @@ RAMP = replace(
 )  # fmt: skip
 BOUNDS = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMP, pieces=8)
 WATCHED = replace(BOUNDS, ramp=replace(RAMP, monitored=True, off_after=None))
-BRAKED = replace(WATCHED, ramp=replace(RAMP, kind="deceleration", value=Box.of(np.full(N, 2.0), np.full(N, 2.2)), monitored=True, off_after=None))
+BRAKED = replace(
+    WATCHED,
+    ramp=replace(RAMP, kind="deceleration", value=Box.of(np.full(N, 2.0), np.full(N, 2.2)), monitored=True, off_after=None),
+)
 POINT = (np.zeros(N), np.zeros(N))
 BOX = (np.full(N, 0.01), np.full(N, 0.05))
 

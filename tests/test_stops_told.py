@@ -92,6 +92,18 @@ def test_a_margin_is_told_rounded_down(model: Model, bounds: StopBounds, tmp_pat
     said = holding(model, rows)[0].split(": ")[1].split(", ")
     assert all(float(x.rsplit(" ", 1)[1]) <= m + 1e-9 for x, m in zip(said, least, strict=True))
     save_model(model, tmp_path / "m.json")
-    main(["stops", str(tmp_path / "m.json"), "--category", "0", "--payload", f"{KG:g}", "--csv", str(tmp_path / "a.csv"), "--quiet"])
+    main(
+        [
+            "stops",
+            str(tmp_path / "m.json"),
+            "--category",
+            "0",
+            "--payload",
+            f"{KG:g}",
+            "--csv",
+            str(tmp_path / "a.csv"),
+            "--quiet",
+        ]
+    )
     for r, line in zip(rows, csv.DictReader((tmp_path / "a.csv").open()), strict=True):
         assert all(float(x) <= m + 1e-9 for x, m in zip(line["holding margin [N m]"].split(), r.margin, strict=True))

@@ -54,7 +54,9 @@ def hull(first: StopBound, found: Sequence[StopBound]) -> StopBound:
     """
     if first.time is None:
         return first
-    vectors = {k: np.max([getattr(b, k) for b in found], axis=0) for k in ("time", "forward", "back", "speed", "links", "link_speed")}
+    vectors = {
+        k: np.max([getattr(b, k) for b in found], axis=0) for k in ("time", "forward", "back", "speed", "links", "link_speed")
+    }
     numbers = {k: float(max(getattr(b, k) for b in found)) for k in ("tcp", "tcp_speed")}
     box = np.array([b.tcp_box for b in found])
     left = [b.fallback for b in found]

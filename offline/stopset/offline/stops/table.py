@@ -172,7 +172,9 @@ class StopCase(NamedTuple):
     group: tuple[int, ...]
 
 
-Worst = tuple[Array, list[list[tuple[StopBound, Array]]]]  # a pose, and for each share of the speed what `in_every_direction` says
+Worst = tuple[
+    Array, list[list[tuple[StopBound, Array]]]
+]  # a pose, and for each share of the speed what `in_every_direction` says
 
 
 def stop_table(model: Model, question: Question, progress: Progress = silent) -> Table:
