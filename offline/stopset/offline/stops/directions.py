@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -54,17 +55,18 @@ def hull(first: StopBound, found: Sequence[StopBound]) -> StopBound:
     """
     if first.time is None:
         return first
-    vectors = {
-        k: np.max([getattr(b, k) for b in found], axis=0) for k in ("time", "forward", "back", "speed", "links", "link_speed")
+    largest: dict[str, Any] = {
+        name: np.max([getattr(b, name) for b in found], axis=0)
+        for name in ("time", "forward", "back", "speed", "links", "link_speed", "tcp", "tcp_speed")
     }
-    numbers = {k: float(max(getattr(b, k) for b in found)) for k in ("tcp", "tcp_speed")}
-    box = np.array([b.tcp_box for b in found])
+    largest |= {name: float(largest[name]) for name in ("tcp", "tcp_speed")}
+    box = np.array([np.asarray(b.tcp_box) for b in found])
     left = [b.fallback for b in found]
     known = [x for x in left if x is not None]
     far = max(found, key=lambda b: b.tcp or 0.0)
     return replace(
-        first, **vectors, **numbers, tcp_box=np.stack([box[:, :, 0].min(axis=0), box[:, :, 1].max(axis=0)], axis=1),
-        holding_margin=np.min([b.holding_margin for b in found], axis=0), capsules=far.capsules, motion=None,
+        first, **largest, tcp_box=np.stack([box[:, :, 0].min(axis=0), box[:, :, 1].max(axis=0)], axis=1),
+        holding_margin=np.min([np.asarray(b.holding_margin) for b in found], axis=0), capsules=far.capsules, motion=None,
         fallback=(max(x[0] for x in known), max(x[1] for x in known)) if len(known) == len(left) else None,
         layer=max((b.layer for b in found), key=LAYERS.index), why="; ".join(dict.fromkeys(b.why for b in found if b.why)),
         assumptions=tuple(dict.fromkeys(a for b in found for a in b.assumptions)),
