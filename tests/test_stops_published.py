@@ -28,6 +28,7 @@ from stopset.sets import Box
 
 sys.path.insert(0, str(File(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
+from stop_arms_wide import arms
 
 N, STATES, STOPS = 6, 3, 10
 RAMP = replace(
@@ -76,6 +77,39 @@ def test_no_stop_contradicts_a_number(category: Category, radii: tuple[np.ndarra
             assert bound.certified, bound.why
             for x in stops_of(bounds, bound, q, dq, radii):
                 assert beyond(bounds, bound, x) == set()
+
+
+ARMS = (
+    "random arm of 2 joints, 0",
+    "random arm of 4 joints, 0",
+    "random arm of 7 joints, 1",
+    "UR10e-like",
+    "cobot of seven joints",
+)
+
+
+@pytest.mark.parametrize("kind", ["time", "deceleration"])
+@pytest.mark.parametrize("name", ARMS)
+def test_no_stop_of_other_arms_contradicts_a_number(name: str, kind: str) -> None:
+    """Every category from the corners of a monitor's box, half the rated payload off the flange, joints with delays of their own."""
+    (model, top), rng = arms()[name], np.random.default_rng(ARMS.index(name))
+    n, rated = model.n, model.domain.payload[1]
+    value = (0.28, 0.32) if kind == "time" else (2.5, 3.2)
+    ramp = replace(
+        Ramp.stated(n, time=0.3), kind=kind, value=Box.of(*np.tile(value, (n, 1)).T), control=Box.of(np.full(n, 0.01), rng.uniform(0.015, 0.05, n)),
+        q_error=np.full(n, 2e-3), dq_error=np.full(n, 0.04), settle=0.1, pace=(-0.6, 0.6), off_after=0.1,
+    )  # fmt: skip
+    bounds = StopBounds.of(model, (0.4 * rated, 0.6 * rated), model.robot.tip + rng.uniform(-0.1, 0.1, 3), ramp=ramp, fast=True)
+    watched = replace(bounds, ramp=replace(ramp, monitored=True, off_after=None))
+    radii, told = (np.full(n, 0.01), np.full(n, 0.05)), 0
+    for category, b in (("0", bounds), ("1", bounds), ("2", bounds), ("1 guaranteed", bounds), ("1 guaranteed", watched)):
+        q, dq = rng.uniform(-2.5, 2.5, n), 0.5 * rng.uniform(-1.0, 1.0, n) * top * (rng.random(n) < 0.8)
+        bound = b.bound(q, dq, category, *radii)
+        if bound.certified:
+            told += 1
+            for x in stops_of(b, bound, q, dq, radii):
+                assert beyond(b, bound, x) == set()
+    assert told >= 3
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
