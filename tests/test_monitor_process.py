@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import shlex
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -15,7 +18,7 @@ import can
 import pytest
 
 from monitor_arm import known_model, meta, motion, with_torque_scaled
-from monitor_process import PREFIX, Ear, PythonReading, expected, free_port, listens, running, stopset, write_config
+from monitor_process import PREFIX, Ear, PythonReading, environment, expected, free_port, listens, running, stopset, write_config
 from patience import Granted, rest, wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError
@@ -211,6 +214,31 @@ def test_what_runs_until_it_is_ended_ends_in_order(place: Place, how: signal.Sig
         (_, err), (out, complaint) = watch.communicate(timeout=60), replay.communicate(timeout=60)
     assert (watch.returncode, err) == (0, "")
     assert (replay.returncode, out, complaint) == (0, "ended\n", "")
+
+
+@pytest.mark.parametrize(
+    "shell", ["exec {} >&- 2>&-", "exec {} <&- >&- 2>&-", "exec {} >/dev/full 2>/dev/full", "exec {} > >(true) 2> >(true)"]
+)
+def test_a_monitor_whose_words_nobody_takes_watches_on(place: Place, tmp_path: Path, shell: str) -> None:
+    """Standard output and error closed, on a full disk, or read by a journal that died: it watches, accuses, records, and ends in order."""
+    model_path, recording, _ = place(3)
+    bus, port = free_port(), free_port()
+    config = write_config(tmp_path, model_path, f'[bus]\nlink = "hub:{bus}"', port)
+    words = shell.format(shlex.join([sys.executable, "-m", "stopset.cli.main", "monitor", "--config", str(config)]))
+    with running("replay", str(recording), "--to", f"hub:{bus}", "--loop"):
+        monitor = subprocess.Popen(["bash", "-c", words], env=environment())
+        try:
+            with Ear(port) as ear:
+                assert ear.wait(lambda: State.VIOLATION in ear.states[-5:])
+                assert ear.wait(lambda: any(e["kind"] == "bundle" for e in list(ear.events))), "its record is on the disk"
+                (bundle,) = [e for e in ear.events if e["kind"] == "bundle"]
+                assert bundle["file"] and not bundle["why"]
+                monitor.send_signal(signal.SIGTERM)
+                assert monitor.wait(60) == 0 and ear.states[-1] is State.SHUTDOWN
+        finally:
+            if monitor.poll() is None:
+                monitor.kill()
+                monitor.wait()
 
 
 def test_a_bus_that_takes_its_time_to_open_holds_up_no_heartbeat(place: Place, tmp_path: Path) -> None:

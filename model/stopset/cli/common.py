@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import shutil
 import signal
 import sys
@@ -142,15 +144,38 @@ def listed(lines: Sequence[str], what: str, *, whole: bool) -> None:
         say(f"{what}: {len(lines)}, --all lists them")
 
 
+def open_missing_streams() -> None:
+    """Standard streams that whoever started this process has closed, opened on nothing.
+
+    Else the next file or socket gets their number, and what a library says on standard error goes into that.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # noqa: FBT003 - the lowest free number is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 - as long as the process
+
+
 def say(text: str) -> None:
     """A line of the command's answer for people, broken where the window ends."""
     sys.stdout.write(broken(text, sys.stdout) + "\n")
     sys.stdout.flush()
 
 
+def mention(text: str) -> None:
+    """The same of a command that goes on where nobody takes its words: the reader has died, or the disk behind is full."""
+    try:
+        say(text)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left unsaid would be tried again at the end
+
+
 def complain(text: str) -> None:
     """Why there is no answer, in one sentence, broken where the window ends."""
-    sys.stderr.write(broken(f"stopset: {text}", sys.stderr) + "\n")
+    with contextlib.suppress(OSError):  # nobody takes it; the exit code says it too
+        sys.stderr.write(broken(f"stopset: {text}", sys.stderr) + "\n")
 
 
 def broken(text: str, stream: TextIO, inner: int | None = None) -> str:

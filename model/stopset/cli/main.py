@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from stopset import cli
-from stopset.cli.common import broken, check_distinct, complain
+from stopset.cli.common import broken, check_distinct, complain, open_missing_streams
 from stopset.errors import StopsetError
 
 # matrices here are small: threads of the linear algebra library would only wait for each other
@@ -63,6 +63,7 @@ def parser_of(command: str) -> Parser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 1 the answer is "no", 2 bad input, `DEFECT`, 130 interrupted."""
+    open_missing_streams()
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_overview())

@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from stopset.cli.common import say
+    from stopset.cli.common import mention
     from stopset.monitor.config import load_config
     from stopset.monitor.spawned import Spawned
 
@@ -29,8 +29,8 @@ def run(args: argparse.Namespace) -> int:
     # a client listens nowhere, whatever stands in the configuration
     listened = () if config.zenoh.mode == "client" else config.zenoh.listen
     where = config.zenoh.file or ", ".join([*listened, *config.zenoh.connect])
-    say(f"listening to {heard}, publishing {config.prefix}/** on {where}; stop with Ctrl-C")
-    say(NOTICE)
+    mention(f"listening to {heard}, publishing {config.prefix}/** on {where}; stop with Ctrl-C")
+    mention(NOTICE)
     code, health = start(config, begun, args.seconds)
-    say(f"{health['samples']} samples, {health['gaps']} gaps, {health['faults']} faults")
+    mention(f"{health['samples']} samples, {health['gaps']} gaps, {health['faults']} faults")
     return code

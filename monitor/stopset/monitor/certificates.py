@@ -5,6 +5,7 @@ What a certificate rests on, the model and the payload, does not change while a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +15,7 @@ from stopset.core.library import lib, view
 from stopset.types import Array
 
 CAPACITY = 2048  # certificates per category: some minutes of motion that never repeats; the oldest goes
+MOST_CAPSULES = 200  # of a bound that are kept for pictures (0.15 ms to send); one in more pieces has none, rather than a part
 
 _ANY = view(np.zeros(1))  # the cost of one box is not looked at
 
@@ -34,6 +36,19 @@ class Numbers:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "proven", bool(self.provable.all()))
+        if self.capsules is not None and len(self.capsules) > MOST_CAPSULES:
+            object.__setattr__(self, "capsules", None)
+
+    @classmethod
+    def worst(cls, cases: Sequence[Numbers]) -> Numbers:
+        """What holds whichever of the ``cases``, all of them proven, is the true one."""
+        time, forward, back = (np.max([getattr(x, name) for x in cases], axis=0) for name in ("time", "forward", "back"))
+        swept = [x.capsules for x in cases if x.capsules is not None]
+        whole = np.concatenate(swept) if len(swept) == len(cases) else None
+        return cls(
+            time, forward, back, max(x.tcp for x in cases), np.all([x.provable for x in cases], axis=0),
+            next((x.why for x in cases if x.why), ""), min(x.margin for x in cases), whole,
+        )  # fmt: skip
 
     @classmethod
     def none(cls, n: int, why: str, margin: float = float("-inf")) -> Numbers:

@@ -352,7 +352,8 @@ class Daemon:
                 faults += 1
                 self.fail(f"{type(e).__name__}: {e}")
                 if faults >= MAX_FAULTS:
-                    sys.stderr.write(f"stopset monitor: gives up after {faults} errors in a row: {type(e).__name__}: {e}\n")
+                    with contextlib.suppress(OSError):  # nobody takes it; the event `fault` says it too
+                        sys.stderr.write(f"stopset monitor: gives up after {faults} errors in a row: {type(e).__name__}: {e}\n")
                     return 3
         return 0
 
