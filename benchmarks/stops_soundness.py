@@ -176,7 +176,8 @@ def sampled(wanted: dict[str, Any], words: list[str], store: Path | None, second
 
 def coverage(model: Model, top: float, pieces: int, states: int) -> tuple[float, float]:
     """Shares of random states with a certificate of at most ``pieces`` tubes: without the kinetic energy, and with it."""
-    s = of(Case(model, np.full(6, top), (4.75, 5.0)))
+    s = StopBounds.of(model, (4.75, 5.0)).setting
+    assert s is not None
     n, rng, tight, good = model.n, np.random.default_rng(77), 0, 0
     for _ in range(states):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-top, top, n)

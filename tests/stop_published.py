@@ -134,7 +134,7 @@ CHECKED: dict[str, Check] = {
     "links": lambda b, x, p: _over(_length(p.ends - p.ends[0]), b.links, LENGTH_ERROR),
     "link_speed": lambda b, x, p: _over(_length(p.end_speed), b.link_speed, PACE_ERROR),
     "holding_margin": lambda b, x, p: _over(np.zeros(1) if b.holding_margin is None else b.holding_margin, x.held, 1e-6),
-    "fallback": lambda b, x, p: -1.0 if x.left is None else _over(np.array(x.left), b.fallback, 2 * DT),
+    "fallback": lambda b, x, p: -1.0 if x.left is None or b.fallback is None else _over(np.array(x.left), b.fallback, 2 * DT),
     "capsules": lambda b, x, p: _beyond_capsules(b, p),
     "directed_speed": lambda b, x, p: max(
         _over(p.tool_speed @ d, b.directed_speed(d), PACE_ERROR) for d in _directions()
@@ -206,7 +206,7 @@ def failed_ramp(
     """STOP 1 whose ramp fails, joint by joint, until power is taken."""
     assert bounds.ramp is not None
     for rng, arm, u, q0, v0 in _draws(bounds, q, dq, radii, count, seed):
-        shares = failing_shares(bounds.ramp, dq, rng)
+        shares = failing_shares(bounds.ramp, v0, rng)  # a fixed deceleration takes the longer, the faster the arm truly is
         before = np.vstack([np.zeros(len(q)), np.cumsum(shares * v0 * DT, axis=0)])
         qs, vs = _cut(arm, u, q0 + before[-1], shares[-1] * v0, lasts)
         t = np.arange(len(before) - 1 + len(qs)) * DT
@@ -224,13 +224,13 @@ def ramp_motion(ramp: Ramp, v0: Array, rng: np.random.Generator) -> tuple[Array,
     control, value = one(ramp.control.lo, ramp.control.hi), one(ramp.value.lo, ramp.value.hi)
     lasts = value if ramp.kind == "time" else np.maximum(np.abs(v0), 1e-9) / value
     pace, settle = float(rng.choice([*ramp.pace, 0.0])), ramp.after or 0.0
-    end = float((control + lasts).max())
-    t = np.arange(int((end + settle + 0.05) / DT)) * DT
+    end = control + lasts
+    t = np.arange(int((end.max() + settle + 0.05) / DT)) * DT
     s = np.clip((t[:, None] - control) / lasts, 0.0, 1.0)
     run = np.minimum(t[:, None], control) + lasts * (s - 0.5 * s * s)
     d, v = v0 * (run + 0.5 * pace * run * run), v0 * (1.0 - s) * (1.0 + pace * run)
     off = np.minimum(ramp.q_error, ramp.dq_error / RINGING) * rng.choice([-1.0, 1.0], n)
-    until = np.minimum(t, end + 0.9 * settle)[:, None]  # the error rings until the arm has settled, and stays
+    until = np.minimum(t[:, None], end + 0.9 * settle)  # the error rings until the joint has settled, and stays
     d, ring = d + off * np.sin(RINGING * until), off * RINGING * np.cos(RINGING * until)
     return t, d, v + ring * (t[:, None] < end + 0.9 * settle)
 

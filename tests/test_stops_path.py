@@ -202,6 +202,25 @@ def test_a_path_stop_needs_brakes_that_hold_the_arm_as_any_stop_does() -> None:
     assert not at.certified and int(np.argmin(at.holding_margin)) == int(np.argmin(bound.holding_margin))
 
 
+def test_a_ramp_that_begins_early_ends_where_the_arm_is_held_as_told() -> None:
+    """A stop known to begin within 0.1 s may end anywhere between; each of these ends holds what the stop says, in every number."""
+    rng, told = np.random.default_rng(0), 0
+    early = [StopBounds.of(MODEL, (0.0, 0.25), ramp=Ramp.stated(6, time=0.3, control=c)) for c in (0.0, 0.03, 0.06)]
+    for _ in range(30):
+        path, rate = Path.through(np.cumsum(rng.uniform(-0.5, 0.5, (5, 6)), axis=0)), rng.uniform(0.5, 3.0)
+        try:
+            whole = path_stop(replace(early[0], ramp=Ramp.stated(6, time=0.3, control=0.1)), path, 0.5, rate).bound
+        except NotCovered:
+            continue
+        for b in early:
+            one = path_stop(b, path, 0.5, rate).bound
+            told += 1
+            assert np.all(one.holding_margin >= whole.holding_margin - 1e-9)
+            for name in ("time", "forward", "back", "speed"):
+                assert np.all(getattr(one, name) <= getattr(whole, name) + 1e-9), name
+    assert told > 30
+
+
 def test_a_path_stop_carries_its_payload_where_it_is() -> None:
     path, far = Path.through(POINTS), np.array([0.0, 0.0, 0.5])
     near, out = path_stop(BOUNDS, path, 0.5, 1.5), path_stop(StopBounds.of(MODEL, payload_com=far, ramp=RAMP), path, 0.5, 1.5)

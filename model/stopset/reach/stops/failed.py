@@ -73,19 +73,19 @@ class StatesAtCut:
         return parts[0], parts[1]
 
 
-def failed_cells(ramp: Ramp, dq: Array, slices: int = SLICES) -> list[StatesAtCut]:
+def failed_cells(ramp: Ramp, fastest: Array, slices: int = SLICES) -> list[StatesAtCut]:
     """The boxes to begin with, but those that lie in the next one, which is later: so does their stop.
 
-    None where nothing says when power is taken.
+    ``fastest`` (n,) [rad/s]: the largest speeds at the request, as a ramp of fixed deceleration lasts. None where nothing says when power is taken.
     """
-    n, top = len(dq), ramp.share
+    n, top = len(fastest), ramp.share
 
     def cell(path_time: float, speed: float, time: float) -> StatesAtCut:
         return StatesAtCut(np.tile([0.0, path_time], (n, 1)), np.tile([0.0, speed], (n, 1)), time)
 
     if not ramp.monitored:
         return [] if ramp.off_after is None else [cell(top * ramp.off_after, top, ramp.off_after)]
-    lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
+    lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else fastest / ramp.value.lo))
     control = float(np.max(ramp.control.hi))
     out: list[StatesAtCut] = []
     for k in range(slices + 1):  # left in slice k, until whose start the speed was below the line
@@ -178,7 +178,7 @@ def failed_stops(setting: Setting, ramp: Ramp, start: Start, tubes: tuple[int, i
     None where nothing says when power is taken; ``tubes``: see `TUBES`; ``fast``: coarser steps, for a loop.
     """
     q, dq = start.q, start.dq
-    cells = failed_cells(ramp, dq)
+    cells = failed_cells(ramp, start.fastest)
     if not cells:
         return None
     lasts = expected_stop(setting.plant, q, start.fastest)
@@ -197,7 +197,7 @@ def failed_stops(setting: Setting, ramp: Ramp, start: Start, tubes: tuple[int, i
         return [(cell, p) for p in halves(plant, q, lasts)]
 
     if fast:
-        return in_a_loop(failed_cells(ramp, dq, FAST_SLICES), cells, setting.plant, march)
+        return in_a_loop(failed_cells(ramp, start.fastest, FAST_SLICES), cells, setting.plant, march)
     least = tubes[0] + (tubes[0] // SLICE * SLICES if ramp.monitored else 0)
     return cover(cells, setting.plant, cut, march, lambda c: c.width(dq), (least, tubes[1]))
 

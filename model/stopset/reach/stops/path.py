@@ -211,10 +211,12 @@ def _judged(bounds: StopBounds, setting: Setting, ramp: Ramp, passed: Passed, ou
         )
     if ramp.after is None:
         return StopBound("1", certified=False, why=NO_REST, assumptions=setting.assumptions)
-    off = ramp.q_error + setting.noise.radius[: bounds.model.n]
-    margin = np.minimum(bounds.margin(poses[0], off), bounds.margin(poses[-1], off))
+    # wherever it is led: a ramp that begins early ends before the last pose
+    near = ramp.q_error + setting.noise.radius[: bounds.model.n] + 0.5 * np.diff(passed.s).max() * passed.first
+    margins = np.array([bounds.margin(q, near) for q in poses])
+    margin = margins.min(axis=0)
     if margin.min() <= 0:
-        return bounds.refused_for("1", margin, poses[-1])
+        return bounds.refused_for("1", margin, poses[int(np.argmin(margins.min(axis=1)))])
     return bounds.marked(replace(_bound(bounds.model, setting, ramp, passed, out), holding_margin=margin), beyond)
 
 

@@ -157,20 +157,22 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     fast = np.maximum(np.abs(v_lo), np.abs(v_hi))
     lasts = ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo
     end = float(np.max(ramp.control.hi + lasts))
+    # a motion that gets faster does so until the ramp begins: that moment is a knot
     t = np.linspace(0.0, end, KNOTS + 1)
+    t = np.sort(np.r_[t, np.setdiff1d(ramp.control.hi, t)])
     curves = [_curve(ramp, v, t, pace, slow=slow) for v in (v_lo, v_hi) for slow in (True, False) for pace in ramp.pace]
     d = np.array([c[0] for c in curves])
     v = np.array([c[1] for c in curves])
     # tracking errors exist from the request on; the first knot is exact
     after = (t > 0)[:, None]
     # between knots a speed that bends leaves its chord by an eighth of its second derivative times the step squared
-    bend = fast * max(map(abs, ramp.pace)) * 3.0 / np.maximum(_shortest(ramp, fast), 1e-3) * t[1] ** 2 / 8.0
+    bend = fast * max(map(abs, ramp.pace)) * 3.0 / np.maximum(_shortest(ramp, fast), 1e-3) * (end / KNOTS) ** 2 / 8.0
     d_lo, d_hi = d.min(axis=0) - after * ramp.q_error, d.max(axis=0) + after * ramp.q_error
     w_lo, w_hi = v.min(axis=0) - ramp.dq_error - bend, v.max(axis=0) + ramp.dq_error + bend
-    nothing = np.zeros((KNOTS, n))
+    nothing = np.zeros((len(t) - 1, n))
     return Tube(
         0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
-        nothing, nothing, nothing, nothing, np.full(n, np.nan), energetic=False, travel_left=np.full((KNOTS + 1, n), np.inf),
+        nothing, nothing, nothing, nothing, np.full(n, np.nan), energetic=False, travel_left=np.full((len(t), n), np.inf),
     )  # fmt: skip
 
 

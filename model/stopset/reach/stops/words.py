@@ -54,7 +54,7 @@ def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
     if ramp.after is not None:
         out.append(
             f"at rest means every joint slower for good than its standstill speed of {_list(ramp.band)} rad/s, at the latest "
-            f"{1e3 * ramp.after:.4g} ms after the ramp's end"
+            f"{1e3 * ramp.after:.4g} ms after its own ramp's end"
         )
     if category == "1":
         out.append("the ramp works, and the brakes have engaged before power is taken")

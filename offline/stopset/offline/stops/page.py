@@ -9,6 +9,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.offline.report.arm import drawn_arm
 from stopset.offline.report.page import COLOURS, Page
+from stopset.offline.stops.directions import NOT_COVERED
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
 from stopset.offline.stops.shown import (
@@ -29,7 +30,7 @@ from stopset.offline.stops.shown import (
     up,
     worst,
 )  # fmt: skip
-from stopset.offline.stops.table import NOT_COVERED, StopRow, farthest, holding
+from stopset.offline.stops.table import StopRow, farthest, holding
 from stopset.reach.stops import Category
 
 DASHES = ("solid", "dash", "dot", "dashdot")  # of categories

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.offline.stops.directions import NOT_COVERED
 from stopset.offline.stops.measured import Measured
 from stopset.offline.stops.separation import Separation
-from stopset.offline.stops.table import NOT_COVERED, StopRow
+from stopset.offline.stops.table import StopRow
 from stopset.reach.stops import Category
 
 NAMES: dict[Category, str] = {

@@ -1,8 +1,8 @@
 """Stop-time and stop-distance tables as ISO 10218-1 asks: three axes, 33/66/100 % speed, payload and extension.
 
-One axis moves at a time, in its worst direction, from the pose near the extension where gravity loads it most; the three
-axes are those that move the tool centre point fastest.  Rows with all three axes at once stand beside them, since several
-axes together can take longer.
+One axis moves at a time, from the pose near the extension where gravity loads it most; the three axes are those that move the
+tool centre point fastest.  Rows with all three axes at once stand beside them, since several axes together can take longer.
+Each number of a row holds in every direction, whichever is the worst for it.
 """
 
 from __future__ import annotations
@@ -11,25 +11,24 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
+from stopset.offline.stops.directions import in_every_direction
 from stopset.offline.stops.poses import Poses
 from stopset.progress import Progress, counted, silent
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
 from stopset.reach.stops.failed import TABLE_TUBES
-from stopset.reach.stops.setting import HEAVIEST, beyond_domain, beyond_payload
+from stopset.reach.stops.setting import HEAVIEST, beyond_payload
 from stopset.reach.stops.start import NONE, Extrapolation
 from stopset.types import Array
 
 SHARES = (33, 66, 100)
 PIECES = 64
 LIGHTEST = 1e-3  # [kg] of a rated payload
-NOT_COVERED = "not covered in"  # begins the remark of a row that speaks of some directions only
 LOAD_TOLERANCE = 0.02  # of the largest payload: how well a stated payload is known
 
 
@@ -45,7 +44,7 @@ class StopRow:
     speed_percent: float
     payload_percent: float
     extension_percent: float
-    speed: float  # [rad/s] of the axis, with its direction
+    speed: float  # [rad/s] of the axis, in the direction in which it turns farthest
     payload: float  # [kg]
     time_s: float | None
     angle_rad: float | None
@@ -56,11 +55,12 @@ class StopRow:
     pose: tuple[float, ...] = ()  # [rad] all joints at the stop request
     far_m: float | None = None  # [m] displacement of whichever goes farthest, the tool or the end of a link
     far_speed: float | None = None  # [m/s] the fastest of them
-    margin: tuple[float, ...] = ()  # [N m] holding margin of each joint
+    margin: tuple[float, ...] = ()  # [N m] holding margin of each joint, the least of all directions
     fallback: tuple[float, float] | None = None  # STOP 2: (rad, s) that a STOP 0 adds if the standstill window is left
     extrapolated: str = ""
     assumptions: tuple[str, ...] = ()  # of this row
-    swept: Array | None = field(default=None, repr=False, compare=False)  # (P, 7) [m] capsules around what the links sweep
+    # (P, 7) [m] capsules around what the links sweep, in the direction in which the tool goes farthest
+    swept: Array | None = field(default=None, repr=False, compare=False)
 
     @property
     def answered(self) -> bool:
@@ -172,7 +172,9 @@ class StopCase(NamedTuple):
     group: tuple[int, ...]
 
 
-Worst = tuple[Array, list[list[tuple[StopBound, Array]]]]  # a pose, and for each share of the speed what `_worst_direction` says
+Worst = tuple[
+    Array, list[list[tuple[StopBound, Array]]]
+]  # a pose, and for each share of the speed what `in_every_direction` says
 
 
 def stop_table(model: Model, question: Question, progress: Progress = silent) -> Table:
@@ -194,11 +196,11 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
     outside: set[str] = set()
 
     def worst(case: StopCase) -> Worst:
-        """The pose, and for each share of the speed what `_worst_direction` says."""
+        """The pose, and for each share of the speed what `in_every_direction` says."""
         bounds, group = ready[case.kg], case.group
         pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
         q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], case.extension / 100.0, pi)
-        return q, [_worst_direction(bounds, q, group, speed * share / 100.0, question.categories) for share in SHARES]
+        return q, [in_every_direction(bounds, q, group, speed * share / 100.0, question.categories) for share in SHARES]
 
     for case in counted(cases, len(cases), "stop bounds", progress):
         q, found = worst(case)
@@ -226,37 +228,6 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
         )
         assumptions += (what,)
     return Table(tuple(rows), assumptions, speed, poses.reach)
-
-
-def _worst_direction(
-    bounds: StopBounds, q: Array, group: Sequence[int], speed: Array, categories: Sequence[Category]
-) -> list[tuple[StopBound, Array]]:
-    """For each category the worst of all directions: both of one axis, every combination of several.
-
-    Of directions in which recordings have not seen such speeds nothing is said; where there are others the bound says so.
-    """
-    worst: dict[Category, tuple[StopBound, Array]] = {}
-    directions = []
-    for signs in product((1.0, -1.0), repeat=len(group)):
-        dq = np.zeros(len(q))
-        dq[list(group)] = np.array(signs) * speed[list(group)]
-        directions.append(dq)
-    covered = [dq for dq in directions if bounds.extrapolate_state or not beyond_domain(bounds.model, q, dq)] or directions
-    for dq in covered:
-        for c in categories:
-            bound = bounds.bound(q, dq, c)
-            known = worst.get(c)
-            if known is None or _badness(bound, group) > _badness(known[0], group):
-                worst[c] = (bound, dq)
-    if len(covered) == len(directions):
-        return [worst[c] for c in categories]
-    only = f"{NOT_COVERED} {len(directions) - len(covered)} of {len(directions)} directions, in which no recording is as fast"
-    return [(replace(b, why="; ".join(x for x in (b.why, only) if x)), dq) for b, dq in (worst[c] for c in categories)]
-
-
-def _badness(bound: StopBound, group: Sequence[int]) -> float:
-    angle = bound.angle
-    return float("inf") if angle is None else float(angle[list(group)].max())
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,7 +328,7 @@ def holding(model: Model, rows: Sequence[StopRow]) -> list[str]:
     out = []
     for kg in sorted({r.payload for r in rows if r.margin}):
         least = np.min([r.margin for r in rows if r.payload == kg and r.margin], axis=0)
-        each = ", ".join(f"{j} {m:.1f}" for j, m in zip(model.joints, least, strict=True))
+        each = ", ".join(f"{j} {-_up(-m, 1):.1f}" for j, m in zip(model.joints, least, strict=True))
         out.append(f"holding margin of brakes and dry friction with {kg:g} kg, least of all rows [N m]: {each}")
     left = [r.fallback for r in rows if r.fallback is not None]
     if left:
@@ -380,6 +351,6 @@ def as_csv(rows: Sequence[StopRow]) -> str:
         out.writerow(
             [r.category, r.joint, r.speed_percent, r.speed, r.payload_percent, r.payload, r.extension_percent, r.time_s,
              r.angle_rad, r.tcp_m, r.tcp_speed, r.certified, r.why, " ".join(f"{x:.4f}" for x in r.pose),
-             " ".join(f"{x:.2f}" for x in r.margin), r.extrapolated]
+             " ".join(f"{-_up(-x, 2):.2f}" for x in r.margin), r.extrapolated]
         )  # fmt: skip
     return text.getvalue()

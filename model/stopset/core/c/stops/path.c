@@ -318,6 +318,18 @@ static int seen(const Task *t, const StopsetPassed *p) {
     return inside;
 }
 
+/* Whether brakes surely hold the arm wherever it is led: a ramp that begins early ends before the last pose. */
+static int held(const Task *t, double s0, const StopsetPassed *p) {
+    const int n = t->n;
+    double lo[SN], hi[SN], first[SN], second[SN], near[SN], spacing = 0.0;
+    stretch(t, s0, least(s0 + p->length, t->path->knots[t->path->pieces]), lo, hi, first, second);
+    for (int64_t k = 1; k < p->poses; k++) spacing = most(spacing, p->s[k] - p->s[k - 1]);
+    for (int i = 0; i < n; i++) near[i] = t->off[i] + 0.5 * spacing * first[i];
+    for (int64_t k = 0; k < p->poses; k++)
+        if (!stops_held(t->stops, p->q + k * n, near)) return 0;
+    return 1;
+}
+
 /* The joint that the rest of the path takes beyond the arm's limits, or -1. */
 static int beyond(const Task *t, double s0) {
     double lo[SN], hi[SN], first[SN], second[SN];
@@ -364,6 +376,5 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     for (int i = 0; i < t.n; i++) out->time[i] = passed->time + after;
     if (!seen(&t, passed)) return STOPSET_PATH_UNSEEN;
     if (!(after >= 0.0)) return STOPSET_PATH_UNSETTLED;
-    const double *last = passed->q + (passed->poses - 1) * t.n;
-    return stops_held(stops, passed->q, t.off) & stops_held(stops, last, t.off) ? STOPSET_OK : STOPSET_PATH_FALLS;
+    return held(&t, s, passed) ? STOPSET_OK : STOPSET_PATH_FALLS;
 }

@@ -29,7 +29,21 @@ static Motion curve(const StopsetRamp *r, int i, double v, double t, int slow, d
     return out;
 }
 
-/* The ramp from all speeds of the box as a tube of KNOTS steps; returns its largest speeds. */
+/* KNOTS steps to `end`, and one more at every joint's latest start: a motion that gets faster does so until its ramp begins. */
+static int64_t knots_of(const StopsetRamp *r, int n, double end, double *t) {
+    int64_t count = KNOTS + 1;
+    for (int k = 0; k <= KNOTS; k++) t[k] = k < KNOTS ? k * (end / KNOTS) : end;
+    for (int i = 0; i < n; i++) {
+        int64_t k = 0;
+        while (t[k] < r->control_hi[i]) k++; /* no ramp begins after the end */
+        if (t[k] == r->control_hi[i]) continue;
+        memmove(t + k + 1, t + k, (size_t)(count++ - k) * sizeof *t);
+        t[k] = r->control_hi[i];
+    }
+    return count;
+}
+
+/* The ramp from all speeds of the box as a tube; returns its largest speeds. */
 static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
     StopsetTube *tube = &a->tube;
     const int n = a->stops->plant.arm.n;
@@ -38,16 +52,15 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
         const double fast = most(size_of(a->from.dq[i] - a->from.dq_radius[i]), size_of(a->from.dq[i] + a->from.dq_radius[i]));
         end = most(end, r->control_hi[i] + (r->timed ? r->value_hi[i] : fast / r->value_lo[i]));
     }
-    a->made = KNOTS;
-    for (int k = 0; k <= KNOTS; k++) tube->t[k] = k < KNOTS ? k * (end / KNOTS) : end;
+    a->made = knots_of(r, n, end, tube->t) - 1;
     for (int i = 0; i < n; i++) {
         const double v[2] = {a->from.dq[i] - a->from.dq_radius[i], a->from.dq[i] + a->from.dq_radius[i]}, fast = most(size_of(v[0]), size_of(v[1]));
         const double shortest = r->timed ? r->value_lo[i] : fast / r->value_hi[i];
         /* between knots a speed that bends leaves its chord by an eighth of its second derivative times the step squared */
-        const double bend = fast * hasty * 3.0 / most(shortest, 1e-3) * (tube->t[1] * tube->t[1]) / 8.0;
+        const double bend = fast * hasty * 3.0 / most(shortest, 1e-3) * ((end / KNOTS) * (end / KNOTS)) / 8.0;
         fastest[i] = 0.0;
-        for (int k = 0; k <= KNOTS; k++) {
-            const int at = k * n + i;
+        for (int64_t k = 0; k <= a->made; k++) {
+            const int64_t at = k * n + i;
             double d_lo = STOPS_INF, d_hi = -STOPS_INF, w_lo = STOPS_INF, w_hi = -STOPS_INF;
             for (int corner = 0; corner < 8; corner++) {
                 const Motion at_corner = curve(r, i, v[corner / 4], tube->t[k], corner / 2 % 2 == 0, r->pace[corner % 2]);
@@ -64,7 +77,7 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
             tube->travel_left[at] = STOPS_INF; /* no brakes' work bounds a ramp */
             fastest[i] = most(fastest[i], most(size_of(tube->v_lo[at]), size_of(tube->v_hi[at])));
         }
-        for (int k = 0; k < KNOTS; k++) {
+        for (int64_t k = 0; k < a->made; k++) {
             tube->e_lo[k * n + i] = least(tube->v_lo[k * n + i], tube->v_lo[(k + 1) * n + i]);
             tube->e_hi[k * n + i] = most(tube->v_hi[k * n + i], tube->v_hi[(k + 1) * n + i]);
         }
@@ -232,7 +245,7 @@ typedef struct {
 } Cell;
 
 /* All of them but those that lie in the next one, which is later: so does their stop. 0 where nothing says when power is taken. */
-static int cells_of(const StopsetRamp *r, int n, const double *dq, int slices, Cell cell[SLICES + 1]) {
+static int cells_of(const StopsetRamp *r, int n, const StopsetStates *from, int slices, Cell cell[SLICES + 1]) {
     double lasts = -STOPS_INF, control = -STOPS_INF;
     int count = 0;
     if (!r->monitored) {
@@ -241,7 +254,7 @@ static int cells_of(const StopsetRamp *r, int n, const double *dq, int slices, C
         return r->off_after >= 0.0;
     }
     for (int i = 0; i < n; i++) {
-        lasts = most(lasts, r->timed ? r->value_hi[i] : size_of(dq[i]) / r->value_lo[i]);
+        lasts = most(lasts, r->timed ? r->value_hi[i] : (size_of(from->dq[i]) + from->dq_radius[i]) / r->value_lo[i]);
         control = most(control, r->control_hi[i]);
     }
     for (int k = 0; k <= slices; k++) { /* left in slice k, until whose start the speed was below the line */
@@ -293,7 +306,7 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const Stopse
 static int falls(const StopsetStops *stops, const StopsetRamp *r, const StopsetStates *from, int energetic, double *work, const StopsetBound *out) {
     Cell cell[SLICES + 1];
     StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
-    const int count = cells_of(r, stops->plant.arm.n, from->dq, energetic ? SLICES : FEW_SLICES, cell);
+    const int count = cells_of(r, stops->plant.arm.n, from, energetic ? SLICES : FEW_SLICES, cell);
     stops_begin(&a, work, out);
     for (int k = 0; k < count; k++)
         if (!fall(&a, r, cell + k, from, energetic, out)) return 0;

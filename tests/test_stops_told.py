@@ -1,0 +1,109 @@
+"""What `stopset stops` tells of a row is held against stops in every direction that the row speaks of, each number for itself."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stop_published import failed_ramp, places, power_off, working_ramp
+from stop_sampling import ANGLE_ERROR, DT
+from stopset.artifact import Model, save_model
+from stopset.cli.main import main
+from stopset.offline.stops.directions import hull
+from stopset.offline.stops.table import Question, StopRow, holding, prepared, stop_table
+from stopset.reach.stops import Category, Ramp, StopBounds
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms import prbt_like
+
+RAMP = Ramp.stated(6, time=0.5).failing(0.3)
+KG = 2.0
+STILL = (np.zeros(6), np.zeros(6))
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return prbt_like((0.0, 3.0))
+
+
+@pytest.fixture(scope="module")
+def bounds(model: Model) -> StopBounds:
+    return prepared(model, KG, Question(RAMP, payload=KG))
+
+
+def worst_found(bounds: StopBounds, row: StopRow, category: Category, dq: np.ndarray) -> np.ndarray:
+    """(3,) the longest time [s], the farthest angle [rad] of the row's axes and way of the tool [m] of some stops with the speeds ``dq``."""
+    q, group = np.array(row.pose), [bounds.model.joints.index(j) for j in row.joint.split("+")]
+    if category == "0":
+        stops = power_off(bounds, q, dq, STILL, 0.3, 3, 1)
+    elif category == "1":
+        stops = working_ramp(bounds, q, dq, STILL, 0.0, 3, 2)
+    else:
+        stops = failed_ramp(bounds, q, dq, STILL, 0.3, 3, 3)
+    found = []
+    for x in stops:
+        tool = places(bounds.model.robot, bounds.setting.payload_com, x).tool
+        found.append([x.rests.max(), np.abs(x.q - x.q[0]).max(axis=0)[group].max(), np.linalg.norm(tool - tool[0], axis=1).max()])
+    return np.max(found, axis=0)
+
+
+@pytest.mark.parametrize("category", ["0", "1", "1 guaranteed"])
+def test_every_number_of_a_table_holds_in_every_direction(
+    category: Category, model: Model, bounds: StopBounds, tmp_path: Path
+) -> None:
+    save_model(model, tmp_path / "m.json")
+    asked = ["--category", category, "--payload", f"{KG:g}", "--ramp-time", "0.5", "--off-after", "0.3"]
+    assert main(["stops", str(tmp_path / "m.json"), *asked, "--json", str(tmp_path / "a.json"), "--quiet"]) == 0
+    told = json.loads((tmp_path / "a.json").read_text())
+    rows = stop_table(model, Question(RAMP, (category,), payload=KG)).rows
+    assert [r.as_json() for r in rows] == told
+    speed = np.full(6, 1.26)
+    for row, said in zip(rows, told, strict=True):
+        group = [model.joints.index(j) for j in row.joint.split("+")]
+        number = np.array([said["time_s"] + 2 * DT, said["angle_rad"] + ANGLE_ERROR, said["tcp_m"] + 2e-6])
+        for signs in product((1.0, -1.0), repeat=len(group)):
+            dq = np.zeros(6)
+            dq[group] = np.array(signs) * speed[group] * row.speed_percent / 100.0
+            assert np.all(worst_found(bounds, row, category, dq) <= number), (row.joint, row.speed_percent, signs)
+
+
+def test_a_hull_holds_each_of_its_stops(bounds: StopBounds) -> None:
+    q, dq = np.array([0.3, 0.6, -0.8, 0.2, 0.4, 0.0]), np.array([1.0, 0.8, 0.9, 0.0, 0.0, 0.0])
+    found = [bounds.bound(q, dq * (*s, 0, 0, 0), "0") for s in product((1.0, -1.0), repeat=3)]
+    whole = hull(found[0], found)
+    for b in found:
+        for name in ("time", "forward", "back", "speed", "links", "link_speed", "tcp", "tcp_speed"):
+            assert np.all(getattr(whole, name) >= getattr(b, name))
+        assert np.all(whole.tcp_box[:, 0] <= b.tcp_box[:, 0]) and np.all(whole.tcp_box[:, 1] >= b.tcp_box[:, 1])
+        assert np.all(whole.holding_margin <= b.holding_margin)
+    refused = StopBounds.of(bounds.model).bound(q, dq, "1")  # no ramp
+    assert hull(refused, [refused, *found]) is refused
+
+
+def test_a_margin_is_told_rounded_down(model: Model, bounds: StopBounds, tmp_path: Path) -> None:
+    rows = stop_table(model, Question(RAMP, ("0",), payload=KG)).rows
+    least = np.min([r.margin for r in rows], axis=0)
+    said = holding(model, rows)[0].split(": ")[1].split(", ")
+    assert all(float(x.rsplit(" ", 1)[1]) <= m + 1e-9 for x, m in zip(said, least, strict=True))
+    save_model(model, tmp_path / "m.json")
+    main(
+        [
+            "stops",
+            str(tmp_path / "m.json"),
+            "--category",
+            "0",
+            "--payload",
+            f"{KG:g}",
+            "--csv",
+            str(tmp_path / "a.csv"),
+            "--quiet",
+        ]
+    )
+    for r, line in zip(rows, csv.DictReader((tmp_path / "a.csv").open()), strict=True):
+        assert all(float(x) <= m + 1e-9 for x, m in zip(line["holding margin [N m]"].split(), r.margin, strict=True))
