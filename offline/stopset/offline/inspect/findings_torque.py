@@ -137,6 +137,19 @@ def torque_smoothed(cutoff: float) -> list[Finding]:
     ]  # fmt: skip
 
 
+def misplaced(joints: Sequence[str], better: float, *, motion: bool) -> list[Finding]:
+    """Columns of ``joints`` that stand in each other's place, of torque alone or with the ``motion``; ``better``: log of all joints' errors."""
+    names = " and ".join(joints) if len(joints) == 2 else "all joints"
+    turned = "exchanged" if len(joints) == 2 else "in reverse order"
+    what = "angles, speeds and torques" if motion else "torques"
+    return [
+        Finding("joint_order", "error", None,
+                f"{what} of {names} stand in each other's place: {turned}, they are what the robot's rigid body needs",
+                "columns under the names of their own joints",
+                "exchange them, in all recordings: drivers list joints in an order of their own (ROS: by `name`, not by number)", better)
+    ]  # fmt: skip
+
+
 def mounted(gravity: Array, angle: float, described: Array) -> list[Finding]:
     """The arm hangs or stands otherwise than described: ``gravity`` [m/s^2] (3,) that its torque asks for, ``angle`` [rad] from the ``described``."""
 

@@ -14,10 +14,19 @@ from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, diss
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import clock
 from stopset.offline.inspect.findings_signals import readings, saturation, velocity
-from stopset.offline.inspect.findings_torque import RIGHT, RIGHT_TORN, mounted, torque_beyond, torque_limits, torque_sign
+from stopset.offline.inspect.findings_torque import (
+    RIGHT,
+    RIGHT_TORN,
+    misplaced,
+    mounted,
+    torque_beyond,
+    torque_limits,
+    torque_sign,
+)
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.mounting import mounting
+from stopset.offline.inspect.order import exchanged
 from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
@@ -52,6 +61,8 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
             momentum.add(r)
         _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
         _refuse(beyond)
+    elif (order := exchanged(robot, some)) is not None:
+        _refuse(misplaced([robot.joints[k] for k in order.joints], order.better, motion=order.motion))
     elif not torque_sign(tally, robot.joints, compensated=False):  # torque of the wrong sign is not that of an arm on the ceiling
         hangs = mounting(robot, some)
         _refuse([] if hangs is None else mounted(hangs.gravity, hangs.angle, robot.chain.gravity))

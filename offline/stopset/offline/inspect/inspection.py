@@ -20,6 +20,7 @@ from stopset.offline.inspect.findings_signals import readings, saturation, veloc
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.mounting import mounting
 from stopset.offline.inspect.needs import Inventory, Need, needs
+from stopset.offline.inspect.order import exchanged
 from stopset.offline.inspect.tally import MOVING, SignalSums
 from stopset.offline.inspect.units import UnitSample, degrees
 from stopset.offline.nominal import low_pass
@@ -195,6 +196,9 @@ def _findings(
     else:
         # made-up stamps tear accelerations apart: what rests on them would be one more wrong claim
         torn = any(f.severity == "error" for f in stamps)
+        if not torn and meta.effort != "compensated_torque" and (order := exchanged(robot, campaign.heard)) is not None:
+            names = [joints[k] for k in order.joints]
+            return out + findings_torque.misplaced(names, order.better, motion=order.motion)  # nothing else can be said of torque
         scales = torque_scales(robot, data) if campaign.momentum is None else campaign.momentum.scales()
         hangs = None if torn or sign or meta.effort == "compensated_torque" else mounting(robot, campaign.heard)
         if hangs is not None:  # whatever else the rigid body would say rests on gravity

@@ -1,0 +1,90 @@
+"""Columns under the names of other joints: a driver lists its joints in an order of its own, and who reads them by number exchanges two.
+
+Friction, offset and rotor of a joint go with its columns; what tells is the rigid body of the description, of which every joint's torque
+asks for the angles of all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stopset.offline.nominal.preprocess import Preprocessing, motions
+from stopset.recording.types import Recording
+from stopset.robot import Robot
+from stopset.robot.rigid import torques
+from stopset.types import Array
+
+FALLS = 2.0  # log of the product of all joints' errors by which the other order must be better: e^2
+EXPLAINS = 0.3  # of its torque beside friction that the rigid body may leave of one of the joints that are exchanged
+STRENGTH = (0.5, 2.0)  # of the described torques, payload and torque constants included
+FEWEST = 100  # rows of each joint
+MOST = 2000  # rows that are looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Exchanged:
+    """Joints (by number) whose columns stand in each other's place, with their ``motion`` or of torque alone.
+
+    ``better``: the log of all joints' errors that the other order takes away.
+    """
+
+    joints: tuple[int, ...]
+    motion: bool
+    better: float
+
+
+def exchanged(robot: Robot, trials: Sequence[Recording]) -> Exchanged | None:
+    """Another order of the columns of ``trials`` that the description clearly asks for; none where it does not."""
+    rows = [
+        [np.ascontiguousarray(x[m.retained]) for x in (m.q, m.dq, m.ddq, m.tau, m.moving)]
+        for r in trials
+        for m in motions(r, Preprocessing())
+    ]
+    if not rows:
+        return None
+    q, dq, ddq, tau, moving = (np.concatenate(x) for x in zip(*rows, strict=True))
+    some = slice(None, None, max(1, len(q) // MOST))
+    q, dq, ddq, tau, moving = (np.ascontiguousarray(x[some]) for x in (q, dq, ddq, tau, moving))
+    if (moving.sum(axis=0) < FEWEST).any():
+        return None
+    n = robot.n
+    ours = _left(robot, q, dq, ddq, tau, moving)
+    best: Exchanged | None = None
+    for order in _orders(n):
+        changed = np.flatnonzero(order != np.arange(n))
+        for motion in (True, False):
+            at = order if motion else np.arange(n)
+            theirs = _left(robot, q[:, at], dq[:, at], ddq[:, at], tau[:, order], moving[:, at])
+            better = float(np.log(ours / theirs).sum())
+            if theirs[changed].min() < EXPLAINS and better > max(FALLS, best.better if best is not None else 0.0):
+                best = Exchanged(tuple(int(k) for k in changed), motion, better)
+    return best
+
+
+def _orders(n: int) -> Iterator[NDArray[np.intp]]:
+    """Two joints exchanged, or all in reverse."""
+    for a, b in combinations(range(n), 2):
+        order = np.arange(n)
+        order[[a, b]] = b, a
+        yield order
+    if n > 3:
+        yield np.arange(n)[::-1]
+
+
+def _left(robot: Robot, q: Array, dq: Array, ddq: Array, tau: Array, moving: Array) -> Array:
+    """(n,) share of each joint's torque beside friction, offset and rotor that the described rigid body leaves, root mean square."""
+    rigid = torques(robot.chain, robot.pi, *(np.ascontiguousarray(x) for x in (q, dq, ddq)))
+    out = np.ones(robot.n)
+    for j in range(robot.n):
+        beside = np.column_stack([np.sign(dq[:, j]), dq[:, j], ddq[:, j], np.ones(len(q))])
+        both = np.column_stack([rigid[:, j], tau[:, j]])
+        beside, both = beside[moving[:, j]], both[moving[:, j]]  # where it turns round friction is anything
+        x, y = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
+        size = float(np.clip(x @ y / max(float(x @ x), 1e-12), *STRENGTH))
+        out[j] = np.sqrt(np.mean((y - size * x) ** 2) / max(float(np.mean(y**2)), 1e-12))
+    return np.maximum(out, 1e-3)
