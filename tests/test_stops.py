@@ -349,6 +349,21 @@ def test_a_ramp_beyond_the_drives_is_not_credible() -> None:
     assert not bound.certified and bound.time is None and "not credible" in bound.why
 
 
+@pytest.mark.parametrize("fast", [False, True], ids=["tables", "the core"])
+def test_a_ramp_is_credible_where_the_fastest_state_of_a_box_has_the_torque(fast: bool) -> None:
+    """What its middle asks the drives for is less than what a corner does: a box with such a corner has no ramp that surely works."""
+
+    def certified(seconds: float, dq: np.ndarray, off: float) -> bool:
+        bounds = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=seconds), fast=fast)
+        return bounds.bound(Q, dq, "1", np.zeros(6), np.full(6, off)).certified
+
+    off = 0.1
+    shortest = next(x for x in np.geomspace(0.005, 1.0, 400) if certified(x, DQ, 0.0))
+    corner = next(x for x in np.geomspace(0.005, 1.0, 400) if certified(x, DQ + np.sign(DQ) * off, 0.0))
+    assert corner > 1.02 * shortest, "else this test says nothing"
+    assert not certified(0.5 * (shortest + corner), DQ, off) and certified(1.05 * corner, DQ, off)
+
+
 def test_ramp_survives_the_model_file() -> None:
     ramp = Ramp.stated(6, time=0.3).failing(off_after=0.4)
     back = Ramp.from_dict(ramp.as_dict())

@@ -180,7 +180,9 @@ class StopBounds:
             return self._refused(category, NO_REST, q)
         extra = plant.coulomb_hi + plant.viscous_hi * start.fastest + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
         bodies = (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
-        refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, start.dq)
+        # the fastest states of the box, each joint in its direction, ask for more than its middle
+        outward = start.dq + np.sign(start.dq) * start.dq_radius
+        refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, outward)
         if refusal:
             return self._refused(category, refusal, q)
         if category == "2":

@@ -120,15 +120,22 @@ static void ask(const StopAsk *a, const Stretch *stretch, const double lasts[SN]
     }
 }
 
-/* Whether the drives have the torque for the ramp, checked densely between the times at which joints come to rest. */
-static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *p) {
+/* Whether the drives have the torque for the ramp of the fastest states of the box, checked densely between the times at which joints come to rest. */
+static int feasible(const StopAsk *asked_for, const StopsetRamp *r, const StopsetPlant *p) {
     const int n = p->arm.n;
+    double fastest[SN];
+    StopAsk at_fastest = *asked_for, *a = &at_fastest;
+    for (int i = 0; i < n; i++) {
+        const double v = a->from.dq[i], off = a->from.dq_radius[i];
+        fastest[i] = v > 0.0 ? v + off : v < 0.0 ? v - off : 0.0;
+    }
+    a->from.dq = fastest;
     double lasts[SN], border[SN + 1], extra[SN], asked[SN] = {0}, body[2][10 * SN];
     const double paces[3] = {0.0, r->pace[0], r->pace[1]};
     int borders = 1;
     border[0] = 0.0;
     for (int i = 0; i < n; i++) {
-        const double fast = size_of(a->from.dq[i]) + a->from.dq_radius[i];
+        const double fast = size_of(asked_for->from.dq[i]) + a->from.dq_radius[i];
         lasts[i] = r->timed ? r->value_lo[i] : most(size_of(a->from.dq[i]), 1e-9) / r->value_hi[i];
         extra[i] = p->coulomb_hi[i] + p->viscous_hi[i] * fast + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
         if (!(size_of(a->from.dq[i]) > 0.0)) continue;
