@@ -109,7 +109,7 @@ def _backwards(t: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _nan(t: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    t["dq_axis_1"][17] = np.nan
+    t["dq_axis_1"][17:30] = np.nan  # one alone would be a lost sample
     return t
 
 

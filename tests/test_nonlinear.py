@@ -44,7 +44,7 @@ from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import FITTING, Settings, identify
 from stopset.reach.flowpipe import responses
 from stopset.reach.nonlinear import along, nominal, parts, predicted_tube, two_simulations
-from stopset.recording import Recording, reader
+from stopset.recording import Recording, files
 from stopset.sets import Box
 from synthetic import arm, recordings, save_trials
 from test_abstraction import ROTOR, two_link
@@ -398,7 +398,7 @@ def test_comparing_holds_no_more_than_it_may(tmp_path: Path, monkeypatch: pytest
     """Five times as many recordings take no more memory."""
     monkeypatch.setattr(survey, "KEEP", 4)
     monkeypatch.setattr(trials, "MOST", 2**16)
-    monkeypatch.setattr(reader, "BATCH_ROWS", 512)
+    monkeypatch.setattr(files, "BATCH_ROWS", 512)
     few, many = (
         save_trials(tmp_path / f"{count}.parquet", recordings((1.0, 0.5), (4.0, 2.0), 2, count, 1.5, bias=0.0), ("a", "b"),
                     effort="motor_torque")

@@ -37,7 +37,7 @@ static int64_t knots_of(const StopsetRamp *r, int n, double end, double *t) {
         int64_t k = 0;
         while (t[k] < r->control_hi[i]) k++; /* no ramp begins after the end */
         if (t[k] == r->control_hi[i]) continue;
-        memmove(t + k + 1, t + k, (size_t)(count++ - k) * sizeof *t);
+        for (int64_t l = count++; l > k; l--) t[l] = t[l - 1];
         t[k] = r->control_hi[i];
     }
     return count;
