@@ -318,16 +318,23 @@ static int seen(const Task *t, const StopsetPassed *p) {
     return inside;
 }
 
+/* Whether brakes surely hold the arm at poses `from` up to `to` (exclusive) and half a `spacing` beyond: all around the middle one, or by halves.
+ * Its joints turn by at most `first` per unit of s. */
+static int held_between(const Task *t, const StopsetPassed *p, int64_t from, int64_t to, double spacing, const double first[SN]) {
+    const int64_t middle = from + (to - from) / 2;
+    const double far = most(p->s[middle] - p->s[from], p->s[to - 1] - p->s[middle]);
+    double near[SN];
+    for (int i = 0; i < t->n; i++) near[i] = t->off[i] + (far + 0.5 * spacing) * first[i];
+    if (stops_held(t->stops, p->q + middle * t->n, near)) return 1;
+    return to - from > 1 && held_between(t, p, from, middle, spacing, first) && held_between(t, p, middle, to, spacing, first);
+}
+
 /* Whether brakes surely hold the arm wherever it is led: a ramp that begins early ends before the last pose. */
 static int held(const Task *t, double s0, const StopsetPassed *p) {
-    const int n = t->n;
-    double lo[SN], hi[SN], first[SN], second[SN], near[SN], spacing = 0.0;
+    double lo[SN], hi[SN], first[SN], second[SN], spacing = 0.0;
     stretch(t, s0, least(s0 + p->length, t->path->knots[t->path->pieces]), lo, hi, first, second);
     for (int64_t k = 1; k < p->poses; k++) spacing = most(spacing, p->s[k] - p->s[k - 1]);
-    for (int i = 0; i < n; i++) near[i] = t->off[i] + 0.5 * spacing * first[i];
-    for (int64_t k = 0; k < p->poses; k++)
-        if (!stops_held(t->stops, p->q + k * n, near)) return 0;
-    return 1;
+    return held_between(t, p, 0, p->poses, spacing, first);
 }
 
 /* The joint that the rest of the path takes beyond the arm's limits, or -1. */
