@@ -10,6 +10,7 @@ from pathlib import Path as File
 import numpy as np
 import pytest
 
+import stopset.reach.stops.path
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
 from stopset.errors import NotCovered
@@ -200,6 +201,25 @@ def test_a_path_stop_needs_brakes_that_hold_the_arm_as_any_stop_does() -> None:
     q = path.p(np.array([0.5 + path_stop(BOUNDS, path, 0.5, 1.5).length]), 0)[0]
     at = bounds.bound(q, np.zeros(6), "1")
     assert not at.certified and int(np.argmin(at.holding_margin)) == int(np.argmin(bound.holding_margin))
+
+
+def test_the_core_lets_brakes_hold_where_they_hold_at_every_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It asks around stretches of the way first, and pose by pose where that is too much: from brakes too weak to strong ones."""
+    core, codes = stopset.reach.stops.path.lib, list[int]()
+
+    class Listened:
+        def __getattr__(self, name: str) -> object:
+            if name != "stopset_path_stop":
+                return getattr(core, name)
+            return lambda *args: codes.append(core.stopset_path_stop(*args)) or codes[-1]
+
+    monkeypatch.setattr(stopset.reach.stops.path, "lib", Listened())
+    certified = [
+        path_stop(StopBounds.of(weak_brakes(x), ramp=RAMP), Path.through(POINTS), 0.5, 1.5).bound.certified
+        for x in np.linspace(0.9, 2.1, 60)
+    ]
+    codes = codes[1::2]  # each model asks where the path ends first
+    assert not certified[0] and certified[-1] and [c == core.STOPSET_OK for c in codes] == certified
 
 
 def test_a_ramp_that_begins_early_ends_where_the_arm_is_held_as_told() -> None:
