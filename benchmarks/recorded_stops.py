@@ -208,13 +208,18 @@ def main() -> None:
     args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     args.add_argument("folder", type=Path)
     args.add_argument("sets", nargs="*", help="names of sets, default all")
-    args.add_argument("--left-out", action="store_true", help="leave out every stop in turn")
-    args.add_argument("--floor", action="store_true", help="leave none out, and widen nothing: what no rule goes below")
-    args.add_argument(
+    how = args.add_mutually_exclusive_group()
+    how.add_argument("--left-out", action="store_true", help="leave out every stop in turn")
+    how.add_argument("--floor", action="store_true", help="leave none out, and widen nothing: what no rule goes below")
+    how.add_argument(
         "--related", action="store_true", help="power off: what sets of each stop's own numbers could give, beside intervals"
     )
     args.add_argument("--json", type=Path)
     given = args.parse_args()
+    if not given.folder.is_dir():
+        args.error(f"{given.folder} is no folder; expected one with a folder for each set")
+    ways = ((given.left_out, left_out), (given.floor, partial(left_out, floor=True)), (given.related, related), (True, rows_of))
+    ask = next(way for chosen, way in ways if chosen)
     rows: list[Row] = []
     print(f"{'set':<6} {'':<19} {'held':>4} {'certified':>9} {'violated':>8} {'uncovered':>9} {'angle':>6} {'time':>6}")
     for folder in sorted(p for p in given.folder.iterdir() if (p / "recording.parquet").is_file()):
@@ -224,15 +229,6 @@ def main() -> None:
         data = [folder / "recording.parquet"]
         model = identify(robot, data).model
         stops = [r for r in read_recordings(data, robot) if r.phase in ("stop0", "stop1")]
-        ask = (
-            left_out
-            if given.left_out
-            else partial(left_out, floor=True)
-            if given.floor
-            else related
-            if given.related
-            else rows_of
-        )
         for row in ask(folder.name, model, stops):
             rows.append(row)
             print(

@@ -88,9 +88,14 @@ def main() -> int:
     parser.add_argument("--arms", nargs="*", default=[""])
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
+    wanted = cases(args.arms)
+    if args.states < 1 or not wanted:
+        parser.error(
+            f"{args.states} states of {len(wanted)} cases; expected at least one of each: give --states and words of names of arms"
+        )
     every: list[Compared] = []
     count, shown = 0, {}
-    for name, case in cases(args.arms).items():
+    for name, case in wanted.items():
         found = [x for k in range(args.states) if (x := one_state(name, case, k + 1)) is not None]
         every, count = every + found, count + args.states
         if found:

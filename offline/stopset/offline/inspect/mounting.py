@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.nominal.preprocess import Preprocessing, motions
+from stopset.offline.inspect.torque_rows import FEWEST, TorqueRows
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import moment_arms, torques
@@ -22,7 +22,6 @@ ROUNDS = 5  # of weighing the joints by what they leave
 FALLS = 2.0  # log of the product of all joints' errors by which the other direction must be better: e^2
 STANDS = 0.3  # of the torque less inertia and friction that it may leave: else something else is wrong, too
 STRENGTH = (0.6, 1.6)  # of gravity's size that comes out, payload and torque constants included
-FEWEST = 100  # rows of each joint
 PLUMB = 0.035  # [rad] from an axis of the base frame: along it, as brackets are made
 
 
@@ -59,24 +58,18 @@ def mounting(robot: Robot, trials: Sequence[Recording]) -> Mounting | None:
 
 def _parts(robot: Robot, trials: Sequence[Recording]) -> list[tuple[Array, Array]]:
     """Per joint that moves, gravity's moments (rows, 3) and the torque less inertia (rows,), friction, offset and rotor projected out of both."""
-    rows = [
-        [np.ascontiguousarray(x[m.retained]) for x in (m.q, m.dq, m.ddq, m.tau, m.moving)]
-        for r in trials
-        for m in motions(r, Preprocessing())
-    ]
-    if not rows:
+    rows = TorqueRows.of(trials)
+    if rows is None:
         return []
-    q, dq, ddq, tau, moving = (np.concatenate(x) for x in zip(*rows, strict=True))
-    pi, chain = robot.pi, robot.chain
+    q, pi, chain = rows.q, robot.pi, robot.chain
     rest = np.zeros_like(q)
-    inertial = torques(chain, pi, q, dq, ddq) - torques(chain, pi, q, rest, rest)
+    inertial = torques(chain, pi, q, rows.dq, rows.ddq) - torques(chain, pi, q, rest, rest)
     _, moment = moment_arms(chain, pi, q)
     out = []
-    for j in np.flatnonzero(moving.sum(axis=0) >= FEWEST):
-        beside = np.column_stack([np.sign(dq[:, j]), dq[:, j], ddq[:, j], np.ones(len(q))])
-        both = np.column_stack([-moment[:, j], tau[:, j] - inertial[:, j]])
-        beside, both = beside[moving[:, j]], both[moving[:, j]]  # where it turns round friction is anything
-        both = both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]
+    for j in range(robot.n):
+        if rows.moving[:, j].sum() < FEWEST:
+            continue
+        both = rows.beside_friction(j, np.column_stack([-moment[:, j], rows.tau[:, j] - inertial[:, j]]))
         out.append((both[:, :3], both[:, 3]))
     return out
 

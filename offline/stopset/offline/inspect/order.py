@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.nominal.preprocess import Preprocessing, motions
+from stopset.offline.inspect.torque_rows import FEWEST, TorqueRows
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import torques
@@ -22,7 +22,6 @@ from stopset.types import Array
 FALLS = 2.0  # log of the product of all joints' errors by which the other order must be better: e^2
 EXPLAINS = 0.3  # of its torque beside friction that the rigid body may leave of one of the joints that are exchanged
 STRENGTH = (0.5, 2.0)  # of the described torques, payload and torque constants included
-FEWEST = 100  # rows of each joint
 MOST = 2000  # rows that are looked at
 
 
@@ -40,26 +39,20 @@ class Exchanged:
 
 def exchanged(robot: Robot, trials: Sequence[Recording]) -> Exchanged | None:
     """Another order of the columns of ``trials`` that the description clearly asks for; none where it does not."""
-    rows = [
-        [np.ascontiguousarray(x[m.retained]) for x in (m.q, m.dq, m.ddq, m.tau, m.moving)]
-        for r in trials
-        for m in motions(r, Preprocessing())
-    ]
-    if not rows:
+    found = TorqueRows.of(trials)
+    if found is None:
         return None
-    q, dq, ddq, tau, moving = (np.concatenate(x) for x in zip(*rows, strict=True))
-    some = slice(None, None, max(1, len(q) // MOST))
-    q, dq, ddq, tau, moving = (np.ascontiguousarray(x[some]) for x in (q, dq, ddq, tau, moving))
-    if (moving.sum(axis=0) < FEWEST).any():
+    rows = found.thinned(MOST)
+    if (rows.moving.sum(axis=0) < FEWEST).any():
         return None
-    n = robot.n
-    ours = _left(robot, q, dq, ddq, tau, moving)
+    n, ours = robot.n, _left(robot, rows)
     best: Exchanged | None = None
     for order in _orders(n):
         changed = np.flatnonzero(order != np.arange(n))
         for motion in (True, False):
             at = order if motion else np.arange(n)
-            theirs = _left(robot, q[:, at], dq[:, at], ddq[:, at], tau[:, order], moving[:, at])
+            as_if = TorqueRows(rows.q[:, at], rows.dq[:, at], rows.ddq[:, at], rows.tau[:, order], rows.moving[:, at])
+            theirs = _left(robot, as_if)
             better = float(np.log(ours / theirs).sum())
             if theirs[changed].min() < EXPLAINS and better > max(FALLS, best.better if best is not None else 0.0):
                 best = Exchanged(tuple(int(k) for k in changed), motion, better)
@@ -76,15 +69,12 @@ def _orders(n: int) -> Iterator[NDArray[np.intp]]:
         yield np.arange(n)[::-1]
 
 
-def _left(robot: Robot, q: Array, dq: Array, ddq: Array, tau: Array, moving: Array) -> Array:
+def _left(robot: Robot, rows: TorqueRows) -> Array:
     """(n,) share of each joint's torque beside friction, offset and rotor that the described rigid body leaves, root mean square."""
-    rigid = torques(robot.chain, robot.pi, *(np.ascontiguousarray(x) for x in (q, dq, ddq)))
+    rigid = torques(robot.chain, robot.pi, *(np.ascontiguousarray(x) for x in rows[:3]))
     out = np.ones(robot.n)
     for j in range(robot.n):
-        beside = np.column_stack([np.sign(dq[:, j]), dq[:, j], ddq[:, j], np.ones(len(q))])
-        both = np.column_stack([rigid[:, j], tau[:, j]])
-        beside, both = beside[moving[:, j]], both[moving[:, j]]  # where it turns round friction is anything
-        x, y = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
+        x, y = rows.beside_friction(j, np.column_stack([rigid[:, j], rows.tau[:, j]])).T
         size = float(np.clip(x @ y / max(float(x @ x), 1e-12), *STRENGTH))
         out[j] = np.sqrt(np.mean((y - size * x) ** 2) / max(float(np.mean(y**2)), 1e-12))
     return np.maximum(out, 1e-3)
