@@ -86,7 +86,7 @@ class Advisor:
             spawned.assign(c.model, self.sha256, c.payload_kg, c.stops, c.limits)
 
     def offer(self, now: float, s: Sample, quantum: Quantum) -> None:
-        """The newest reading, at ``now`` [s, monotonic], with what the bus hides of it; takes an answer if there is one. Never waits, never raises."""
+        """The newest reading, at ``now`` [s, monotonic], and what the bus hides of it; takes an answer if there is one. Never waits, never raises."""
         try:
             if self._pipe.poll(0):
                 self.said, self._waiting = self._pipe.recv(), False
