@@ -137,7 +137,7 @@ def ranges(states: int = 60) -> None:
     )
     for name, (model, top) in arms().items():
         rated, n = model.domain.payload[1], model.n
-        for least in (0.0, 0.5, 0.75, 0.98):
+        for least in (0.0, 0.5, 0.75, 0.95, 0.98):
             setting = StopBounds.of(model, (least * rated, rated)).setting
             assert setting is not None
             parts, whole = CompiledStops.of(setting), CompiledStops.of(setting)

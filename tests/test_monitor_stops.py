@@ -88,13 +88,12 @@ def test_a_range_of_payloads_on_a_light_arm_is_bounded_by_its_parts_for_every_ma
         (x.plant.pi[-1, 0] - x.plant.pi_half[-1, 0], x.plant.pi[-1, 0] + x.plant.pi_half[-1, 0]) for x in prepared.parts
     )
     assert c <= 0.615 and b >= 0.615 + 12.5 and a <= d, "no mass outside, none between them"
-    for alone in ((2.0, 2.0), (12.25, 12.5)):
-        assert not StopBounds.of(ur10e_like(), alone, fast=True).parts, "so like each other that two proofs say no more"
+    assert not StopBounds.of(ur10e_like(), (2.0, 2.0), fast=True).parts
 
 
 def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: Path) -> None:
-    strong = StopBounds.of(ur5_like(), (4.75, 5.0), fast=True)
-    thorough = StopBounds.of(ur5_like(), (4.75, 5.0))
+    strong = StopBounds.of(ur5_like(), (5.0, 5.0), fast=True)
+    thorough = StopBounds.of(ur5_like(), (5.0, 5.0))
     rng, spent, layers = np.random.default_rng(77), {True: [], False: []}, []
     for _ in range(8):
         q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-2.3, 2.3, 6)

@@ -166,15 +166,15 @@ class StopBounds:
         proven = whole[-1].end == OK
         if not self.parts or (proven and not any(t.energetic for t in whole)):
             return whole
-        far, found = self._tool_way(whole, start) if proven else np.inf, list[Tube]()
+        far, found = self._tool_travel(whole, start) if proven else np.inf, list[Tube]()
         for part in self.parts:
             tubes = tubes_of(part, start, self.pieces, fast=self.fast)
-            if tubes[-1].end != OK or self._tool_way(tubes, start) >= far:
+            if tubes[-1].end != OK or self._tool_travel(tubes, start) >= far:
                 return whole
             found += tubes
         return found
 
-    def _tool_way(self, tubes: list[Tube], start: Start) -> float:
+    def _tool_travel(self, tubes: list[Tube], start: Start) -> float:
         """[m] how far the tool gets."""
         assert self.setting is not None
         chain, tool = self.model.robot.chain, self.setting.payload_com

@@ -51,7 +51,7 @@ class CompiledStops:
         lag = ffi.NULL if s.lag is None else view(given(s.lag))
         delay_spread = -1.0 if s.delay_spread is None else s.delay_spread
         struct = ffi.new(
-            "StopsetStops *", (plant[0][0], lag, delay_spread, view(tool), torques, lib.stopset_is_range(*s.payload))
+            "StopsetStops *", (plant[0][0], lag, delay_spread, view(tool), torques, int(s.payload[0] < s.payload[1]))
         )
         arrays, numbers = ({}, {}) if ramp is None else ramp_fields(s, ramp)
         held = {k: given(x) for k, x in arrays.items()}

@@ -80,8 +80,8 @@ class Setting:
 
     @property
     def parts(self) -> tuple[Setting, ...]:
-        """Two settings, the heavier first, of which every payload of the range lies in one; none where the range is not worth it."""
-        if not lib.stopset_is_range(*self.payload):
+        """Two settings, the heavier first, of which every payload of the range lies in one; none where it is one payload."""
+        if self.payload[0] == self.payload[1]:
             return ()
         out, (struct, _held) = [], plant_struct(self.plant)
         for k in range(2):

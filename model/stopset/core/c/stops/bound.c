@@ -285,11 +285,7 @@ static int rests(const StopsetStops *stops, const StopsetStates *from, double *w
     return by;
 }
 
-/* Of the heavier end: below, two proofs say hardly more than one. Of what a range adds, the lighter part: of 1/3, 1/2, 2/3 what bounds a UR10e-like arm
- * most tightly. */
-static const double APART = 0.03, LIGHTER = 2.0 / 3.0;
-
-int stopset_is_range(double least, double most) { return most - least > APART * most; }
+static const double LIGHTER = 2.0 / 3.0; /* of a range is its lighter part: of 1/3, 1/2, 2/3 what bounds a UR10e-like arm most tightly */
 
 void stopset_payload_part(const StopsetPlant *plant, int part, double *pi, double *half) {
     const double middle = part ? LIGHTER - 1.0 : LIGHTER, share = (part ? LIGHTER : 1.0 - LIGHTER) + TINY; /* so much that rounding leaves nothing between them */
