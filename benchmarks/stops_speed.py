@@ -1,6 +1,6 @@
 """How fast stop bounds are: a box for the monitor, a state, the first call; beside one simulated stop.
 
-    python benchmarks/stops_speed.py [--ramps | --ranges]
+    python benchmarks/stops_speed.py [--ramps | --ranges | --energy [MODEL ...]]
 
 CPU time of this process, so that other work on the machine counts less; medians.
 """
@@ -25,13 +25,16 @@ from stop_arms_wide import arms
 from stop_certificate import certify
 from stop_sampling import DT
 from stop_tubes import tube_of
+from stopset.artifact import load_model
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Stride, march
-from stopset.reach.stops.tubes import FAST_KNOTS, KNOTS, expected_stop
+from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, FAST_WINDOWS, KNOTS, Region, expected_stop, march_box
 from stopset.reach.stops.types import Category
+from stopset.reach.stops.windows import windows
 from stopset.sets import Box
 from stopset.simulation.stop import StoppingArm, simulate_stop, simulate_stops
 from stopset.types import Array
@@ -160,6 +163,47 @@ def ranges(states: int = 60) -> None:
                 print(f"  {which}: {angle:.2f}, {tool:.2f}; {spent[0] / spent[1]:.1f}", flush=True)
 
 
+def energy(files: list[str], states: int = 60) -> None:
+    """What of a bound is the kinetic energy's tube that bounds it, in the region that holds it: what is left if nothing else were tried."""
+    print(
+        f"STOP 0 by the core, {states} measured states: of those that the kinetic energy bounds, median [ms] of the bound; of its tubes alone"
+    )
+    cases = [(name, model, (0.98 * model.domain.payload[1], model.domain.payload[1])) for name, (model, _) in arms().items()]
+    cases += [(Path(f).name, load_model(f), None) for f in files]
+    for name, model, payload in cases:
+        loop, rng, d = StopBounds.of(model, payload, fast=True), np.random.default_rng(5), model.domain
+        loop = replace(loop, parts=())
+        s, whole, alone = loop.setting, [], []
+        assert s is not None
+        within = np.clip(np.array([d.q.lo, d.q.hi]), -np.pi, np.pi).clip(*model.robot.q_limit.T)
+        core = CompiledStops.of(s)
+        core.struct.ranged = 0
+        for _ in range(states):
+            q, dq = rng.uniform(*within), rng.uniform(d.dq.lo, d.dq.hi)
+            if loop.bound(q, dq).layer != "energy":
+                continue
+            start = Start(
+                q + s.start.centre[: s.model.n],
+                dq + s.start.centre[s.model.n :],
+                s.start.radius[: s.model.n],
+                s.start.radius[s.model.n :],
+            )
+            region = Region.first(s, start.fastest, expected_stop(s.plant, start.q, start.fastest))
+            plants = windows(s.plant, s.delay_spread, s.lag, FAST_WINDOWS)
+            tubes = [march_box(s, p, start, energetic=True, knots=FAST_ENERGY_KNOTS, region=region) for p in plants]
+            if not all(t.end == OK for t in tubes):
+                continue
+            begin = time.thread_time_ns()
+            core.bound(q, dq)
+            middle = time.thread_time_ns()
+            for p in plants:  # in the region that is known by now
+                march_box(s, p, start, energetic=True, knots=FAST_ENERGY_KNOTS, region=region)
+            whole.append((middle - begin) / 1e6)
+            alone.append((time.thread_time_ns() - middle) / 1e6)
+        if len(whole) >= 10:
+            print(f"  {name}, {len(whole)} states: {np.median(whole):.2f}; {np.median(alone):.2f}", flush=True)
+
+
 FRESH = """
 import time; a = time.perf_counter()
 import numpy as np; from stop_arms import prbt_like; from stopset.reach.stops import StopBounds
@@ -183,6 +227,9 @@ def fresh_process() -> list[float]:
 
 
 def main() -> None:
+    if sys.argv[1:2] == ["--energy"]:
+        energy(sys.argv[2:])
+        return
     for option, run in (("--ramps", ramps), ("--ranges", ranges)):
         if option in sys.argv[1:]:
             run()
