@@ -122,7 +122,7 @@ def stops(model: Model, a: Asked) -> Iterator[Stopped]:
 
 def _ramped(model: Model, a: Asked) -> Iterator[Stopped]:
     """Ramps that work; of a STOP 2 the arm drifts out of its window, and power is taken."""
-    ramp, q0, v0, n = a.bounds.ramp, a.batch.q, a.batch.dq, model.n
+    ramp, q0, v0 = a.bounds.ramp, a.batch.q, a.batch.dq
     assert ramp is not None
     laws, rows, crept = Laws(model, a.batch, a.rng), [], q0.copy()
     side = a.rng.choice([-1.0, 1.0], q0.shape)
