@@ -152,12 +152,12 @@ def contradicted(a: Asked, x: Stopped) -> dict[str, float]:
     return {name: e for name, e in over.items() if e > 0.0}
 
 
-def run(effects: Sequence[Fitted], states: int, count: int, seed: int) -> tuple[int, int, list[str]]:
-    """How many bounds, how many stops, and what was contradicted, of an arm with ``effects``."""
-    model, rng = hiding(effects), np.random.default_rng(seed)
+def run(effects: Sequence[Fitted], states: int, count: int, seed: int, *, blind: bool = False) -> tuple[int, int, list[str]]:
+    """How many bounds, how many stops, and what was contradicted, of an arm with ``effects``; ``blind``: by bounds that do not know them."""
+    model, rng, known = hiding(effects), np.random.default_rng(seed), hiding(() if blind else effects)
     n, bounded, done, wrong = model.n, 0, 0, list[str]()
     asked = [(c, name, ramp) for name, ramp in ramps(n).items() for c in (CATEGORIES if name == "SS1-t" else ("1 guaranteed",))]
-    ready = {name: StopBounds.of(model, (0.0, model.domain.payload[1]), ramp=ramp, fast=True) for name, ramp in ramps(n).items()}
+    ready = {name: StopBounds.of(known, (0.0, model.domain.payload[1]), ramp=ramp, fast=True) for name, ramp in ramps(n).items()}
     for k in range(states):
         category, name, _ = asked[k % len(asked)]
         q, dq = (
@@ -187,6 +187,7 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=12, help="of each state")
     parser.add_argument("--effect", help="only this case")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--blind", action="store_true", help="the bound does not know the effect: stops must contradict it")
     given = parser.parse_args()
     total = beyond = 0
     for name, effects in cases(prbt_like().joints).items():
@@ -194,7 +195,7 @@ def main() -> None:
             continue
         begun = time.process_time()
         try:
-            bounded, done, wrong = run(effects, given.states, given.stops, given.seed)
+            bounded, done, wrong = run(effects, given.states, given.stops, given.seed, blind=given.blind)
         except NotCovered as e:
             print(f"{name}: refused: {e}", flush=True)
             continue

@@ -106,7 +106,7 @@ def _ramp_struct(setting: Setting, ramp: Ramp) -> tuple[Any, Any]:
 def ramp_torque(setting: Setting, plant: Plant, ramp: Ramp, start: Start, tube: Tube) -> Array:
     """(n,) [N m] the largest torque of links and rotors that a ramp that works asks of each drive, from any state of ``start``: of all
     payloads, rotors, delays and values that are known as ranges. ``tube``: the ramp's own from there."""
-    braking, _kept = _ramp_struct(setting, ramp)
+    braking, _stored = _ramp_struct(setting, ramp)
     struct, _held = plant_struct(plant)
     states = [given(x) for x in (start.q, start.dq, start.q_radius, start.dq_radius)]
     lines = {k: given(getattr(tube, k)) for k in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi")}
