@@ -120,6 +120,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     for k, claim in enumerate(retained):
         now, retained[k] = _settled_again(now, claim, hyper)
     hyper, p = now.fit(hyper)
+    retained = _foremost_first(now, retained, hyper)
     return Found(tuple(_as_fitted(now, retained, p.theta)), tuple(left), now, hyper, now.excesses(p.theta, hyper), first)
 
 
@@ -176,3 +177,20 @@ def _needed(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper) -> tuple[Hyp
             now = now.without(c.key)
             retained = [k for k in retained if k.scored.candidate.key != c.key]
     return now, retained
+
+
+def _foremost_first(now: Hypothesis, claims: list[Claim], hyper: Hyper) -> list[Claim]:
+    """The claims that a free rigid body takes up in the order of what they say beside all others, in the places that they have.
+
+    A later one of them must show beside the first (`judged`): which one was found first says nothing of which is the cause.
+    """
+
+    def says(claim: Claim) -> float:
+        c = claim.scored.candidate
+        return scores(now.without(c.key), [c], hyper)[0].score
+
+    alike = [k for k in claims if k.scored.candidate.effect.absorbed]
+    if len(alike) < 2:
+        return claims
+    ordered = iter(sorted(alike, key=says, reverse=True))
+    return [next(ordered) if k in alike else k for k in claims]
