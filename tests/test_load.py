@@ -13,7 +13,7 @@ from stopset.offline.diagnose.answer import Parameter
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
-from stopset.offline.diagnose.explain.load import nearest_body, of_a_body, says
+from stopset.offline.diagnose.load import nearest_body, of_a_body, says
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.search import Claim, _foremost_first
 from stopset.offline.nominal.physical import pseudo_inertia

@@ -13,10 +13,10 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Known
-from stopset.offline.diagnose.explain.load import of_a_body, says
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import deviations, drives_scale
+from stopset.offline.diagnose.load import of_a_body, says
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search

@@ -120,7 +120,6 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     for k, claim in enumerate(retained):
         now, retained[k] = _settled_again(now, claim, hyper)
     hyper, p = now.fit(hyper)
-    retained = _foremost_first(now, retained, hyper)
     return Found(tuple(_as_fitted(now, retained, p.theta)), tuple(left), now, hyper, now.excesses(p.theta, hyper), first)
 
 
@@ -169,14 +168,14 @@ def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothe
 
 
 def _needed(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper) -> tuple[Hypothesis, list[Claim]]:
-    """The claims that still stand when tried against all the others; what a later one made needless is dropped."""
+    """The claims that still stand when tried against all the others, `_foremost_first`; what a later one made needless is dropped."""
     retained = list(claims)
     for claim in claims[:-1]:
         c = claim.scored.candidate
         if scores(now.without(c.key), [c], hyper)[0].score < limit.THRESHOLD:
             now = now.without(c.key)
             retained = [k for k in retained if k.scored.candidate.key != c.key]
-    return now, retained
+    return now, _foremost_first(now, retained, hyper)
 
 
 def _foremost_first(now: Hypothesis, claims: list[Claim], hyper: Hyper) -> list[Claim]:

@@ -4,8 +4,7 @@ Gravity tells a load's mass and centre; its inertia shows where the arm accelera
 that is no load.  So a free fit gave 2.9 kg an inertia of -0.11 +- 0.03 kg m^2.  While effects are looked for the inertia stays free, so
 that what is left there bends neither mass nor centre.
 
-Source: Wensing, Kim & Slotine (2018), Linear matrix inequalities for physically consistent inertial parameter identification; the nearest
-positive semidefinite matrix is Higham's (1988).
+Source: Wensing, Kim & Slotine (2018), Linear matrix inequalities for physically consistent inertial parameter identification.
 """
 
 from __future__ import annotations
