@@ -53,6 +53,10 @@ def case_of(arm: str, name: str, seed: int) -> dict[str, Any]:
             "later counterbalance loaded",
             53322,
         ),  # a cable whose numbers are beyond what they can be says nothing that a gas spring would
+        (
+            "later cubic_viscous wrist",
+            94267,
+        ),  # six motions whose friction scatters by more than the cubic term: their whole error rises
     ],
 )
 def test_of_hardware_size(name: str, seed: int) -> None:

@@ -186,7 +186,7 @@ def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
     """
     unknown = verdict == "unknown"
     sound = [] if unknown else [k for k, r in enumerate(x.ranked) if not r.objection]
-    error = x.steps(sound)[-1].after if sound else x.found.before
+    error = (x.steps(sound)[-1].after if sound else x.found.before).whole
     out = []
     for j, joint in enumerate(x.engine.data.joints):
         here = [r for r in x.ranked if joint in (r.joints or x.engine.data.joints[:1])]

@@ -30,6 +30,7 @@ WEIGHED_ALONE = (
     " It was weighed against the robot's description alone, whose masses and torque scale decide as much: record these motions without it, "
     "`stopset identify` from that, and diagnose this recording against that model."
 )
+INNER = " These errors are within the motions, whatever scale their friction has: how it scatters between them hides what this explains."
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +145,11 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         surplus = bool(why) and not objections[k]
+        says = _says(c.effect, given, described=not engine.modelled)
         out.append(
             Ranked(
-                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.before[taken.joint]),
-                float(taken.after[taken.joint]), given, c.effect.look_at, _says(c.effect, given, described=not engine.modelled),
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.told[0][taken.joint]),
+                float(taken.told[1][taken.joint]), given, c.effect.look_at, says + (INNER if taken.inner else ""),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus,
             )
         )  # fmt: skip

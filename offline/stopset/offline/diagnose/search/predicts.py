@@ -10,29 +10,38 @@ import numpy as np
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One claim more: held-out torque error (n,) [N m] ``before`` and ``after``, why that is too little, empty where it is not, and at which
-    joints it acts, empty for the whole arm."""
+    """One claim more: held-out torque error ``before`` and ``after``, why that is too little, empty where it is not, and at which
+    joints it acts, empty for the whole arm; ``inner``: it is within motions that it shows, not in the whole error."""
 
-    before: Array
-    after: Array
+    before: HeldOut
+    after: HeldOut
     why: str
     joints: tuple[int, ...] = ()
+    inner: bool = False
+
+    @property
+    def told(self) -> tuple[Array, Array]:
+        """(n,) [N m] each: the errors before and after, at its joints those in which it shows."""
+        here = np.isin(np.arange(len(self.before.whole)), self.joints) | (not self.joints)
+        before, after = (np.where(here & self.inner, x.within, x.whole) for x in (self.before, self.after))
+        return before, after
 
     @property
     def joint(self) -> int:
-        """Where, of these, it takes most away."""
-        where = list(self.joints) or list(range(len(self.before)))
-        return where[int(np.argmax((self.before - self.after)[where]))]
+        """Where, of its joints, it takes most away."""
+        before, after = self.told
+        where = list(self.joints) or list(range(len(before)))
+        return where[int(np.argmax((before - after)[where]))]
 
 
 def step(
-    now: Hypothesis, candidate: Candidate, before: Array, hyper: Hyper, earlier: Sequence[Candidate], left: Sequence[float] = ()
+    now: Hypothesis, candidate: Candidate, before: HeldOut, hyper: Hyper, earlier: Sequence[Candidate], left: Sequence[float] = ()
 ) -> Step:
     """What ``candidate`` takes off the error ``before`` of ``now``, which has the ``earlier`` claims.
 
@@ -42,7 +51,7 @@ def step(
 
 
 def judged(
-    now: Hypothesis, candidate: Candidate, before: Array, after: Array, hyper: Hyper, earlier: Sequence[Candidate],
+    now: Hypothesis, candidate: Candidate, before: HeldOut, after: HeldOut, hyper: Hyper, earlier: Sequence[Candidate],
     left: Sequence[float] = (),
 ) -> Step:  # fmt: skip
     """`step` where the error ``after`` is known.
@@ -51,18 +60,26 @@ def judged(
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
     Beside other claims against a model from other recordings, whose base is not free, it must show.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
+    What shows too little in the whole error may show within the motions, whatever scale friction has in each.
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
     if candidate.effect.absorbed and not (earlier and now.engine.modelled):
         return Step(before, after, "", candidate.joints)
-    where = list(candidate.joints) or list(range(len(before)))
-    share = 1.0 - after[where] / before[where]
+    inner = Step(before, after, "", candidate.joints, inner=True)
+    whole = replace(inner, why=_too_little(replace(inner, inner=False), candidate, earlier, left), inner=False)
+    return inner if whole.why and not _too_little(inner, candidate, earlier, left) else whole
+
+
+def _too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
+    """Why an error falls too little, empty where it does not."""
+    where = list(candidate.joints) or list(range(len(x.told[0])))
+    share = 1.0 - x.told[1][where] / x.told[0][where]
     lowered, expected, beside = float(np.max(share)), _least(candidate, earlier), ""
     if left and left[where[int(np.argmax(share))]] > limit.QUIET and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
     why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"
-    return Step(before, after, "" if lowered > expected else why, candidate.joints)
+    return "" if lowered > expected else why
 
 
 def _least(candidate: Candidate, earlier: Sequence[Candidate]) -> float:
