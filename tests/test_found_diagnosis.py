@@ -7,15 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from stopset.artifact import Model
+from stopset.errors import RecordingError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.identify.pipeline import Settings, identified
-from stopset.recording import Recordings
+from stopset.offline.inspect import inspect_recordings
+from stopset.recording import Recordings, write_recordings
 from stopset.simulation import Scenario, prepare
 from test_hidden_effects import ARM
 
@@ -102,6 +105,25 @@ def test_torque_constants_that_are_off_alike_are_no_load(healthy: Healthy) -> No
     e = found.ranked[0].parameters["e"]
     assert e.std is not None and e.value == pytest.approx(1 / 1.04 - 1, abs=4 * e.std) and e.std < 0.005
     assert "torque scale of all joints" in found.ranked[0].says
+
+
+@pytest.mark.parametrize("unit", ["per cent of the drive's limit", "ampere"])
+def test_torque_in_another_unit_names_nothing(healthy: Healthy, unit: str) -> None:
+    """Five joints' gains and a load were named of it."""
+    data = healthy.recorded((8.0,) * 8, 4)
+    limit_of = healthy.scenario.cell.truth.plant.limit
+    factor = 100.0 / limit_of if unit.startswith("per") else 1.0 / np.linspace(9.6, 14.4, 6)
+    with pytest.raises(RecordingError, match=r"over what the identified arm needs is .*convert tau"):
+        diagnose_model(healthy.model, replace(data, trials=tuple(replace(r, tau=r.tau * factor) for r in data)))
+
+
+def test_heavily_jittered_stamps_are_no_reason_to_doubt_the_urdf(healthy: Healthy, tmp_path: Path) -> None:
+    """Limits that lie 10^17 deviations off spoilt the scale of the search for possible bodies, which did not come to an end."""
+    path = tmp_path / "jitter.parquet"
+    data = healthy.recorded((8.0,) * 8, 5, Trouble(scatter=2e-3))
+    write_recordings(path, replace(data.meta, sources=()), data)
+    found = inspect_recordings([path], healthy.scenario.robot)[0]
+    assert not found.refused and "clock_jitter" in {f.kind for f in found.findings}
 
 
 def test_a_gas_spring_and_the_spring_that_was_claimed_first_are_not_both_named(tmp_path: Path) -> None:

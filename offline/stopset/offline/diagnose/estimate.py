@@ -66,4 +66,4 @@ def _claims(x: Examination, name: str) -> tuple[int, ...]:
 def _of(x: Examination, wanted: Sequence[tuple[str, tuple[int, ...]]]) -> list[Estimate]:
     order = list(dict.fromkeys(k for _, claims in wanted for k in claims))
     by = {k: name for name, claims in reversed(wanted) for k in claims}
-    return [Estimate(by[k], x.ranked[k], *s.told) for k, s in zip(order, x.steps(order), strict=True)]
+    return [Estimate(by[k], x.ranked[k], *s.stated) for k, s in zip(order, x.steps(order), strict=True)]

@@ -148,8 +148,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         says = _says(c.effect, given, described=not engine.modelled)
         out.append(
             Ranked(
-                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.told[0][taken.joint]),
-                float(taken.told[1][taken.joint]), given, c.effect.look_at, says + (INNER if taken.inner else ""),
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
+                float(taken.stated[1][taken.joint]), given, c.effect.look_at, says + (INNER if taken.inner else ""),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus,
             )
         )  # fmt: skip

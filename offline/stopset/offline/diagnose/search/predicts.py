@@ -26,7 +26,7 @@ class Step:
     inner: bool = False
 
     @property
-    def told(self) -> tuple[Array, Array]:
+    def stated(self) -> tuple[Array, Array]:
         """(n,) [N m] each: the errors before and after, at its joints those in which it shows."""
         here = np.isin(np.arange(len(self.before.whole)), self.joints) | (not self.joints)
         before, after = (np.where(here & self.inner, x.within, x.whole) for x in (self.before, self.after))
@@ -35,7 +35,7 @@ class Step:
     @property
     def joint(self) -> int:
         """Where, of its joints, it takes most away."""
-        before, after = self.told
+        before, after = self.stated
         where = list(self.joints) or list(range(len(before)))
         return where[int(np.argmax((before - after)[where]))]
 
@@ -60,7 +60,8 @@ def judged(
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
     Beside other claims against a model from other recordings, whose base is not free, it must show.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
-    What shows too little in the whole error may show within the motions, whatever scale friction has in each.
+    What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
+    too, it must stand out.
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
@@ -68,15 +69,17 @@ def judged(
         return Step(before, after, "", candidate.joints)
     inner = Step(before, after, "", candidate.joints, inner=True)
     whole = replace(inner, why=_too_little(replace(inner, inner=False), candidate, earlier, left), inner=False)
-    return inner if whole.why and not _too_little(inner, candidate, earlier, left) else whole
+    hidden = whole.why and candidate.effect.role == "friction"
+    return inner if hidden and not _too_little(inner, candidate, earlier, left) else whole
 
 
 def _too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
     """Why an error falls too little, empty where it does not."""
-    where = list(candidate.joints) or list(range(len(x.told[0])))
-    share = 1.0 - x.told[1][where] / x.told[0][where]
+    where = list(candidate.joints) or list(range(len(x.stated[0])))
+    share = 1.0 - x.stated[1][where] / x.stated[0][where]
     lowered, expected, beside = float(np.max(share)), _least(candidate, earlier), ""
-    if left and left[where[int(np.argmax(share))]] > limit.QUIET and expected < limit.STANDS_OUT:
+    keeps = x.inner or (len(left) > 0 and left[where[int(np.argmax(share))]] > limit.QUIET)
+    if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
     why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"
     return "" if lowered > expected else why
