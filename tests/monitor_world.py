@@ -8,6 +8,7 @@ from __future__ import annotations
 import heapq
 import math
 import random
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -113,6 +114,9 @@ class World:
             self.faults, self.plan, self.altered_at = Faults(*[0.0] * 11), [], math.inf
         self._arm()
         self.consumer = Consumer(Expected(7, None, None, None), 50_000_000)
+        # [s] that a message takes to the consumer; drawn apart, so that a seed's life stays the one it was
+        self.way = random.Random(f"way {self.seed}").choice([0.0, 0.0, 0.01, 0.02])
+        self.underway: deque[tuple[float, bytes, float]] = deque()  # when it is there, what, with data of when
 
     # ---- the arm and its bus
 
@@ -216,7 +220,8 @@ class World:
             self.stood += for_s
             return for_s
         if event == "jump":
-            self.jumped += int(rng.choice([-3600.0, -0.5, 0.05, 3600.0]) * 1e9)
+            by = rng.choice([-3600.0, -0.5, 0.05, 3600.0])
+            self.jumped += int((0.9 * self.way if self.way and by == 0.05 else by) * 1e9)
         elif event == "bus off":
             self.off_until = self.now + rng.choice([0.01, 0.3])
         elif event == "reset":
@@ -256,17 +261,20 @@ class World:
             if rng.random() < f.send_error:
                 raise RuntimeError("the session is gone")
             if rng.random() >= f.lost:
-                self._consume(data, m)
+                self.underway.append((self.now + self.way, data, self.given))
+            self._consume()
 
         return send
 
-    def _consume(self, data: bytes, m: dict[str, Any]) -> None:
+    def _consume(self) -> None:
         mine = 5_000_000_000 + round(self.now * 1e9)
         nonce = self.consumer.challenge(mine, self.rng.getrandbits(64))
         if nonce is not None:
             self.order("challenge", nonce)
-        if self.consumer.take(data, mine) == 0:
-            self._newest = self.given
+        while self.underway and self.underway[0][0] <= self.now:
+            _, data, sampled = self.underway.popleft()
+            if self.consumer.take(data, mine) == 0:
+                self._newest = sampled
         for wait in (0, self.rng.choice([10, 40, 60]) * 1_000_000):
             self.believed.append((self.now + wait * 1e-9, self.consumer.state(mine + wait), getattr(self, "_newest", -math.inf)))
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import ctypes
 import hmac
 import random
+import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -159,6 +161,34 @@ def test_a_clock_that_was_set_is_no_fresh_data(jump: float, refusal: Fault) -> N
     assert c.state(at) is State.OK
 
 
+def test_a_clock_set_by_less_than_messages_are_under_way_makes_no_old_data_young() -> None:
+    """Nothing in a message shows it: none is stamped later than now. The daemon says that its clock was set by not being OK."""
+    c, jump = proven(), 20 * MS
+    now = T + 4 * MS
+    c.take(message(now, 11), now)
+    for seq, state in ((12, State.UNKNOWN), (13, State.OK)):  # each 28 ms under way, with data that were 5 ms old
+        made, now = now, now + 28 * MS
+        stamps = {"t_pub_ns": made + AHEAD + jump, "t_meas_ns": made + AHEAD + jump - 5 * MS}
+        assert c.take(message(made, seq, state=int(state), **stamps), now) is Fault.NONE
+    assert c.state(now) is State.FAULT and c.why is Fault.UNPROVEN
+    made = T + CHALLENGE_EVERY
+    assert c.challenge(made, 77) is not None
+    now = made + 28 * MS
+    c.take(message(made, 14, t_pub_ns=made + AHEAD + jump, t_meas_ns=made + AHEAD + jump - 5 * MS, nonces=(77,)), now)
+    assert c.state(now) is State.FAULT and c.why is Fault.STALE, "33 ms old, not 13"
+
+
+def test_after_a_silence_it_is_asked_anew() -> None:
+    """What the daemon has said of its clock may be among the messages that were lost."""
+    c = proven()
+    now = T + WATCHDOG + MS
+    c.take(message(now, 60), now)
+    assert c.state(now) is State.FAULT and c.why is Fault.UNPROVEN
+    assert c.challenge(T + CHALLENGE_EVERY, 77) is not None
+    c.take(message(T + CHALLENGE_EVERY, 100, nonces=(77,)), T + CHALLENGE_EVERY)
+    assert c.state(T + CHALLENGE_EVERY) is State.OK
+
+
 def test_the_clocks_may_drift() -> None:
     """100 ppm apart for a minute: never a doubt, and never younger than true."""
     c, rng = proven(), random.Random(1)
@@ -187,6 +217,18 @@ def test_every_state_but_ok_and_degraded_passes_and_nonsense_is_fault() -> None:
             assert said is State(code)
         else:
             assert said is State.FAULT and c.why is Fault.NO_SUCH_STATE
+
+
+def test_a_consumers_clock_goes_on_while_the_machine_sleeps() -> None:
+    """Messages that waited in a socket for a machine to wake would be as young as when it fell asleep."""
+    if shutil.which("unshare") is None or not hasattr(time, "CLOCK_BOOTTIME"):
+        pytest.skip("needs Linux' time namespaces")
+    slept = ["unshare", "--time", "--boottime", "3600", "--fork"]
+    ask = "import time\nfrom stopset.monitor.clock import own_ns\nprint(own_ns() - time.monotonic_ns())"
+    done = subprocess.run([*slept, sys.executable, "-c", ask], env=environment(), capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"no time namespace may be made here: {done.stderr}")
+    assert int(done.stdout) > 3590 * 10**9
 
 
 # ---- keys -----------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import signal
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,8 +68,9 @@ class Cell:
     def daemon(self, **more: str) -> contextlib.AbstractContextManager[Any]:
         return running("monitor", "--config", str(self.config), **more)
 
-    def replay(self, which: str = "healthy", *more: str) -> contextlib.AbstractContextManager[Any]:
-        return running("replay", str(self.folder / f"{which}.parquet"), "--to", f"hub:{self.bus}", *(more or ("--loop",)))
+    def replay(self, which: str = "healthy", *more: str, **environ: str) -> contextlib.AbstractContextManager[Any]:
+        words = "--to", f"hub:{self.bus}", *(more or ("--loop",))
+        return running("replay", str(self.folder / f"{which}.parquet"), *words, **environ)
 
 
 @pytest.fixture
@@ -400,6 +402,59 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
             monitor.kill()
             assert wait(all_in(both, {State.FAULT}), 3.0)
             assert wait(lambda: all(Fault.SILENT in c.faults(at) for c in both), 3.0)
+
+
+@dataclass
+class SlowWay:
+    """Passes messages on ``late`` seconds after they came."""
+
+    send: Callable[[bytes], None]
+    late: float
+    on: bool = True
+
+    def __post_init__(self) -> None:
+        self._underway: deque[tuple[float, bytes]] = deque()
+        self.thread = threading.Thread(target=self._work, daemon=True)
+        self.thread.start()
+
+    def take(self, _key: str, data: bytes) -> None:
+        self._underway.append((time.monotonic(), data))
+
+    def _work(self) -> None:
+        while self.on:
+            while self._underway and time.monotonic() - self._underway[0][0] >= self.late:
+                self.send(self._underway.popleft()[1])
+            time.sleep(0.001)
+
+    def close(self) -> None:
+        self.on = False
+        self.thread.join(timeout=5)
+
+
+def test_a_clock_set_by_less_than_messages_are_under_way_is_noticed_by_both_consumers(
+    cell: Cell, reader: Path, tmp_path: Path
+) -> None:
+    """A slow way, and the clock that stamps samples and messages set forward: they are as old as before, and look younger."""
+    shim = compiled(tmp_path, Path(__file__).with_name("time_shim.c"), words=("-shared", "-fPIC", "-ldl"))
+    (order := tmp_path / "order").write_text("0")
+    machine = {"LD_PRELOAD": str(shim), "SHIM": str(order)}
+    with cell.daemon(**machine), cell.replay(**machine), Ear(cell.port) as ear, contextlib.ExitStack() as stack:
+        way = SlowWay(ear.link.fast("late"), 0.1)
+        stack.callback(way.close)
+        ear.link.subscribe("state", way.take)
+        both = stack.enter_context(consumers(cell, reader, ear.link, "late"))
+        assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
+        way.late = 0.001 * VALID_MS + 0.02
+        assert wait(all_in(both, {State.FAULT}), 10.0), "too late to be believed"
+        rest(1.0)
+        at = time.monotonic()
+        assert not any(c.now in GOOD for c in both)
+        order.write_text("250")
+        assert wait(lambda: GOOD & {State(unpack(d)["state"]) for d in ear.raw[-3:]}, 10.0)
+        rest(2.0)
+        assert not any(c.since(at) & GOOD for c in both), [c.said[-3:] for c in both]
+        way.late = 0.1
+        assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
 
 
 def test_ways_that_spoil_messages_are_noticed_by_both_consumers(cell: Cell, reader: Path) -> None:

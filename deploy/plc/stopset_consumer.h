@@ -33,6 +33,7 @@ typedef struct {
   uint64_t answered; /* the nonce before */
   int64_t beside;    /* when another living sender was heard beside the one that is believed; if have_beside */
   int have_beside;
+  int settled; /* OK or DEGRADED has come without a break since the last answer: the daemon's clock was not set meanwhile */
   int64_t refused_at; /* when a message was refused last, and why; if that is not 0 */
   int refusal;
 } stopset_consumer;
@@ -128,7 +129,7 @@ static int stopset_stranger(const stopset_consumer *c, const stopset_state *m, c
 
 static void stopset_prove(stopset_consumer *c, const stopset_state *m, int64_t now) {
   int64_t lo = (int64_t)m->t_pub_ns - now, hi = (int64_t)m->t_pub_ns - c->asked;
-  if (c->have_boot && m->boot_id == c->boot) { /* what was known before still holds, but for the drift since */
+  if (c->have_boot && m->boot_id == c->boot && c->settled) { /* what was known before still holds, but for the drift since */
     int64_t drift = stopset_drift(c, now), before_lo = c->lo - drift, before_hi = c->hi + drift;
     if (before_lo < lo) before_lo = lo;
     if (before_hi > hi) before_hi = hi;
@@ -153,10 +154,12 @@ static int stopset_refuse(stopset_consumer *c, int fault, int64_t now) {
   return fault;
 }
 
+static int stopset_believed(const stopset_state *m) { return m->state == STOPSET_STATE_OK || m->state == STOPSET_STATE_DEGRADED; }
+
 /* A message arrived; a doubtful one counts as silence. Returns the doubt, 0 if there is none. */
 static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int64_t now) {
   stopset_state m;
-  int fault, answer = 0, lives = 0, same_boot;
+  int fault, answer = 0, lives = 0, same_boot, alive;
   if (!stopset_read(data, n, &m)) return stopset_refuse(c, STOPSET_FAULT_UNREADABLE, now);
   if ((fault = stopset_stranger(c, &m, data)) != 0) return stopset_refuse(c, fault, now);
   for (unsigned i = 0; i < STOPSET_NONCES; i++) {
@@ -164,7 +167,8 @@ static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int6
     lives |= c->answered && m.nonces[i] == c->answered;
   }
   same_boot = c->have_boot && m.boot_id == c->boot;
-  if (!same_boot && c->have_last && now - c->arrived <= c->expect.watchdog_ns) { /* another sender beside the one that is there */
+  alive = c->have_last && now - c->arrived <= c->expect.watchdog_ns;
+  if (!same_boot && alive) { /* another sender beside the one that is there */
     if (answer || lives) { /* two monitors have this data id, and one of them may watch another arm */
       c->beside = now;
       c->have_beside = 1;
@@ -177,10 +181,13 @@ static int stopset_take(stopset_consumer *c, const uint8_t *data, size_t n, int6
     if (step == 0u || step >= 0x80000000u) return stopset_refuse(c, STOPSET_FAULT_REPEATED, now);
     c->lost += step - 1u;
   }
-  if (answer)
+  c->settled = c->settled && alive && stopset_believed(&m);
+  if (answer) {
     stopset_prove(c, &m, now);
-  else if (now + c->hi + stopset_drift(c, now) < (int64_t)m.t_pub_ns) /* made later than now: its clock has been set forward */
+    c->settled = stopset_believed(&m);
+  } else if (now + c->hi + stopset_drift(c, now) < (int64_t)m.t_pub_ns) { /* made later than now: its clock has been set forward */
     c->proved = now - STOPSET_PROOF_LIFE_NS - 1;
+  }
   c->last = m;
   c->have_last = 1;
   c->arrived = now;
@@ -206,6 +213,7 @@ static int stopset_fault(const stopset_consumer *c, int64_t now) {
     case STOPSET_STATE_SHUTDOWN: return STOPSET_FAULT_NONE; /* nothing in it is to be used */
     default: return STOPSET_FAULT_NO_SUCH_STATE;
   }
+  if (!c->settled) return STOPSET_FAULT_UNPROVEN;
   oldest = now + c->hi + stopset_drift(c, now) - (int64_t)m->t_meas_ns;
   if (oldest < 0) return STOPSET_FAULT_AHEAD;
   return oldest > (int64_t)m->valid_for_ms * 1000000 ? STOPSET_FAULT_STALE : STOPSET_FAULT_NONE;

@@ -14,6 +14,11 @@ class Clock(Protocol):
     def sleep(self, seconds: float) -> None: ...
 
 
+def own_ns() -> int:
+    """[ns] a consumer's clock, which is never set and goes on while the machine sleeps: what waited for it to wake is old."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
+
+
 class SystemClock:
     """The machine's own."""
 

@@ -2,7 +2,9 @@
 
 No common clock is needed. The consumer sends a random nonce on ``challenge``; the first message that carries it was made after
 it was sent and before it was heard, which bounds how far the daemon's clock is from the consumer's, and proves that this
-daemon, in this life (``boot_id``), is there now. From then on the age of every message's data is known to within that bound.
+daemon, in this life (``boot_id``), is there now. From then on the age of every message's data is known to within that bound,
+as long as the daemon goes on to be believed: one whose clock was set says so by not being OK for a while, and whoever then went on
+with the bound from before would take data for younger than they are, by as much as messages are under way.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ DRIFT_PPM = 500  # two crystal clocks part by no more than this
 CHALLENGE_EVERY = 200 * MS  # [ns]
 PROOF_LIFE = 1000 * MS  # [ns] an answered challenge is believed for this long
 _MAC_AT = offsets()["mac"]
+_BELIEVED = (State.OK, State.DEGRADED)
 
 
 class Fault(IntEnum):
@@ -70,7 +73,7 @@ class Expected:
 
 @dataclass(slots=True)
 class Consumer:
-    """Takes messages, answers what may be believed now; times in ns of the consumer's own monotonic clock.
+    """Takes messages, answers what may be believed now; times in ns of the consumer's own clock, see `stopset.monitor.clock.own_ns`.
 
     ``watchdog``: longest silence; at least two cycles and jitter. Send what `challenge` gives.
     """
@@ -92,6 +95,7 @@ class Consumer:
     _proved: int = 0
     _lo: int = 0  # daemon's clock minus mine, at _proved: not less than _lo, not more than _hi
     _hi: int = 0
+    _settled: bool = False  # OK or DEGRADED has come without a break since the last answer: its clock was not set meanwhile
 
     def challenge(self, now: int, random: int) -> bytes | None:
         """The nonce to send now, made of ``random`` (64 fresh bits); None when it is not time."""
@@ -122,8 +126,11 @@ class Consumer:
             if not 0 < step < 1 << 31:
                 return self._refuse(Fault.REPEATED, now)
             self.lost += step - 1
+        believed = m["state"] in _BELIEVED
+        self._settled = self._settled and believed and alive
         if answer:
             self._prove(m, now)
+            self._settled = believed
         elif now + self._hi + self._drift(now) < m["t_pub_ns"]:  # made later than now: its clock has been set forward
             self._proved = now - PROOF_LIFE - 1
         self.last, self.arrived = m, now
@@ -143,7 +150,7 @@ class Consumer:
 
     def _prove(self, m: dict[str, Any], now: int) -> None:
         lo, hi = m["t_pub_ns"] - now, m["t_pub_ns"] - self._asked
-        if m["boot_id"] == self._boot:  # what was known before still holds, but for the drift since
+        if m["boot_id"] == self._boot and self._settled:  # what was known before still holds, but for the drift since
             drift = self._drift(now)
             before = max(lo, self._lo - drift), min(hi, self._hi + drift)
             if before[0] <= before[1]:
@@ -174,8 +181,10 @@ class Consumer:
             return Fault.UNPROVEN
         if m["state"] not in tuple(State) or m["state"] == State.NEVER_SENT:
             return Fault.NO_SUCH_STATE
-        if m["state"] not in (State.OK, State.DEGRADED):  # nothing in it is to be used
+        if m["state"] not in _BELIEVED:  # nothing in it is to be used
             return Fault.NONE
+        if not self._settled:
+            return Fault.UNPROVEN
         oldest = now + self._hi + self._drift(now) - m["t_meas_ns"]
         if oldest < 0:
             return Fault.AHEAD

@@ -153,7 +153,7 @@ class Recovery:
         if state is State.DEGRADED:
             self._degraded, self._why_degraded = now, why
         need = self.limits.recover
-        if now - self._bad < need:
+        if now - self._bad < need or self._bad == now:  # a break is told once at least: consumers rely on it
             return State.UNKNOWN, _RECOVERING, self._wait(now - self._bad, self._why_bad)
         if state is State.OK and now - self._degraded < need:
             return State.DEGRADED, _RECOVERING, self._wait(now - self._degraded, self._why_degraded)

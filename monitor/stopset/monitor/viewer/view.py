@@ -20,6 +20,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.artifact.store import model_of
 from stopset.errors import ModelFileError
+from stopset.monitor.clock import own_ns
 from stopset.monitor.consumer import MS, SAYS, Consumer, Expected, Fault
 from stopset.monitor.viewer.events import Event, Grouped
 from stopset.monitor.viewer.words import cleaned
@@ -168,7 +169,7 @@ class View:
             if self.consumer is None and self.expected is not None:
                 self.consumer = Consumer(self.expected, round(self.watchdog_s * 1e9))
             if self.consumer is not None:
-                self.consumer.take(data, time.monotonic_ns())
+                self.consumer.take(data, own_ns())
 
     def take_health(self, _key: str, data: bytes) -> None:
         """``health``."""
@@ -211,7 +212,7 @@ class View:
     def challenge(self) -> None:
         """Ask for a sign of life when it is time."""
         with self._lock:
-            nonce = self.consumer.challenge(time.monotonic_ns(), secrets.randbits(64)) if self.consumer else None
+            nonce = self.consumer.challenge(own_ns(), secrets.randbits(64)) if self.consumer else None
         if nonce is not None and self.ask is not None:
             self.ask(nonce)
 
@@ -222,7 +223,7 @@ class View:
             c = self.consumer
             if c is None:
                 return "NO DATA", "nothing heard yet"
-            now = time.monotonic_ns()
+            now = own_ns()
             state = c.state(now)
             if c.why is Fault.SILENT:
                 return "NO DATA", f"silent for {(now - c.arrived) / MS:.0f} ms"
