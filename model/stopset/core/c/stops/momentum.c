@@ -49,9 +49,9 @@ void stops_total(int n, const Bands *b, double *lo, double *hi) {
 int stops_same_bands(int n, const Bands *a, const Bands *b) {
     int same = 1;
     for (int i = 0; i < n; i++) {
-        same &= a->alive[i] == b->alive[i] && a->rested[i] == b->rested[i];
-        same &= !a->alive[i] || (a->first_lo[i] == b->first_lo[i] && a->first_hi[i] == b->first_hi[i]);
-        same &= !a->rested[i] || (a->later_lo[i] == b->later_lo[i] && a->later_hi[i] == b->later_hi[i]);
+        same &= (a->alive[i] == b->alive[i]) & (a->rested[i] == b->rested[i]);
+        same &= (a->alive[i] == 0) | ((a->first_lo[i] == b->first_lo[i]) & (a->first_hi[i] == b->first_hi[i]));
+        same &= (a->rested[i] == 0) | ((a->later_lo[i] == b->later_lo[i]) & (a->later_hi[i] == b->later_hi[i]));
     }
     return same;
 }
