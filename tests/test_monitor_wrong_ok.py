@@ -46,7 +46,7 @@ from stopset.monitor.layout import LENGTH, Flag, State, unpack
 from stopset.monitor.links.hub import Hub
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import load_profile
-from stopset.recording import write_recordings
+from stopset.recording import Recording, write_recordings
 
 WATCHDOG = 400  # [ms] a machine shared with everything else
 GOOD = {State.OK, State.DEGRADED}
@@ -220,13 +220,14 @@ RUBBISH = [
 ]  # fmt: skip
 
 
-def joint_state(k: int, stamp_ns: int, seed: int = 0) -> bytes:
-    r = RUN[seed]
-    k %= len(r.t)
+SHORT = motion(0, 1500)
+
+
+def joint_state(k: int, stamp_ns: int, run: Recording = SHORT) -> bytes:
+    r, k = run, k % len(run.t)
     return to_json(JointState(stamp_ns, JOINTS, tuple(r.q[k]), tuple(r.dq[k]), tuple(r.tau[k])))
 
 
-RUN = [motion(0, 1500)]
 JOINTS = known_model().joints
 
 
@@ -308,6 +309,42 @@ def test_a_bus_of_another_cycle_than_the_model_s_is_no_ok_and_said(cell: Cell, t
         assert ear.wait(lambda: says_so(ear)), {t["why"] for t in ear.twins[-10:]}
         assert any(e["kind"] == "pace" for e in ear.events)
         assert not GOOD & set(ear.states[begun:]), "no OK on it"
+
+
+def test_of_two_senders_of_joint_states_none_is_believed(tmp_path: Path) -> None:
+    """A simulation left running beside the arm, or two arms on one key: the one whose stamps are a little older was left out, message
+    by message, and OK was said of the other."""
+    save_model(known_model(), tmp_path / "arm.model.json")
+    port = free_port()
+    source = f'[joint_states]\nkey = "js"\ncycle_s = 0.004\n{STOPS}'
+    config = write_config(tmp_path, tmp_path / "arm.model.json", source, port, publish=PUBLISH)
+    with running("monitor", "--config", str(config)), Ear(port) as ear, contextlib.ExitStack() as stack:
+        other = ZenohLink(PREFIX, mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+        stack.callback(other.close)
+        simulation, arm, run = ear.link.fast("/js"), other.fast("/js"), motion(0, 60_000)
+        both, sending = threading.Event(), threading.Event()
+
+        def sender() -> None:
+            begin, k = time.time_ns(), 0
+            while not sending.wait(max(0.0, (begin + 4_000_000 * k - time.time_ns()) * 1e-9)):
+                simulation(joint_state(k, begin + 4_000_000 * k, run))
+                if both.is_set():
+                    time.sleep(0.001)
+                    arm(joint_state(k, begin + 4_000_000 * k - 2_000_000, run))  # where it moves otherwise nobody gets to see
+                k += 1
+
+        thread = threading.Thread(target=sender)
+        stack.callback(thread.join)
+        stack.callback(sending.set)
+        thread.start()
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0), {t["why"] for t in ear.twins}
+        both.set()
+        assert ear.wait(lambda: "two senders" in ear.twins[-1]["why"], 20.0), {t["why"] for t in ear.twins[-20:]}
+        begun = len(ear.raw)
+        rest(2.0)
+        assert not GOOD & set(ear.states[begun:]), "which arm is OK nobody can tell"
+        both.clear()
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0), "one of them has ended"
 
 
 def hear_once(ear: Ear, name: str) -> bytes:
