@@ -22,11 +22,12 @@ from stopset.monitor.spawned import Spawned
 from stopset.monitor.stopdesk import StopDesk, seen_by
 
 BEGUN = """
-import sys
+import os, sys
 from stopset.monitor.spawned import Spawned
 
-def begin(cls, load, name):
-    print(name, sorted({"numpy", "zenoh", "stopset.monitor.service"} & set(sys.modules)))
+def begin(cls, load, name, *, copied):
+    threads = len(os.listdir("/proc/self/task")) if os.path.exists("/proc/self/task") else 1
+    print(name, copied, threads, sorted({"stopset.monitor.stopworker", "zenoh", "stopset.monitor.service"} & set(sys.modules)))
     raise SystemExit(0)
 
 Spawned.begin = classmethod(begin)
@@ -45,9 +46,9 @@ def said_by(code: str, *words: str) -> str:
     ).stdout
 
 
-def test_what_bounds_stops_begins_to_load_before_the_daemon_does(tmp_path: Path) -> None:
+def test_what_bounds_stops_is_copied_with_what_it_needs_before_there_are_threads(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text('model = "m.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n')
-    assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == "stop-bounds []"
+    assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == "stop-bounds True 1 ['stopset.monitor.stopworker']"
 
 
 def test_the_daemon_loads_nothing_that_only_recordings_or_proofs_need() -> None:
