@@ -31,11 +31,14 @@ from stopset.errors import RecordingError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Records
 from stopset.monitor.evidence import plausible
+from stopset.monitor.evidence.case import AFTER, Case
 from stopset.monitor.evidence.cause import Kind
-from stopset.monitor.evidence.classify import AFTER, CREDIBLE, Case, Pushes, classify, late_torque
+from stopset.monitor.evidence.classify import classify
 from stopset.monitor.evidence.dynamics import Dynamics, Readings
+from stopset.monitor.evidence.late import late_torque
 from stopset.monitor.evidence.mcap_file import McapFile
 from stopset.monitor.evidence.overheard import Overheard
+from stopset.monitor.evidence.pushes import CREDIBLE, Pushes
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace, Window
 from stopset.monitor.jointstate import decode

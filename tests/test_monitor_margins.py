@@ -75,15 +75,33 @@ def test_the_override_is_proven_for_all_slower_speeds(tmp_path: Path) -> None:
     q, dq = np.array([0.2, 0.4, 0.6, 0.1, 0.3, 0.0]), np.array([1.0, -0.6, 0.5, 0.4, -0.5, 0.8])
     whole = bound(np.concatenate([q, dq]), np.concatenate([q, dq]))
     assert whole.provable.all(), whole.why
-    assert largest_override(bound, q, dq, StopLimits("0")) == 1.0
+    hidden = np.r_[np.full(6, 5e-4), np.full(6, 5e-3)]  # by the bus, of angles and speeds
+    assert largest_override(bound, q, dq, hidden, StopLimits("0")) == 1.0
     wanted = StopLimits("0", tcp_m=0.5 * whole.tcp)
-    part = largest_override(bound, q, dq, wanted)
+    part = largest_override(bound, q, dq, hidden, wanted)
     assert 0.2 <= part < 1.0
-    for x in np.random.default_rng(0).uniform(0.0, part, 10):
-        assert keeps(bound(*[np.concatenate([q, x * dq])] * 2), wanted)
+    rng = np.random.default_rng(0)
+    for x in [*rng.uniform(0.0, part, 10), part, part]:
+        assert keeps(bound(*[np.concatenate([q, x * dq]) + hidden * rng.choice([-1.0, 1.0], 12)] * 2), wanted)
     faster = min(1.0, part + 2 / STRETCHES)
     assert not keeps(bound(*[np.concatenate([q, faster * dq])] * 2), wanted), "and it is not far below the truth"
-    assert largest_override(bound, q, dq, StopLimits("0", tcp_m=1e-6)) == 0.0
+    assert largest_override(bound, q, dq, hidden, StopLimits("0", tcp_m=1e-6)) == 0.0
+
+
+def test_the_override_looks_at_all_that_a_reading_may_hide() -> None:
+    """Every state at every part of the speed is in a box that was bounded: joints that hardly move, and what the bus rounds away."""
+    q, dq, hidden = np.zeros(6), np.array([1.0, 9e-4, -9e-4, 0.5, 0.0, -0.3]), np.r_[np.full(6, 1e-4), np.full(6, 2e-3)]
+    boxes: list[tuple[Array, Array]] = []
+
+    def bound(lo: Array, hi: Array) -> Numbers:
+        boxes.append((lo, hi))
+        return numbers(0.01)
+
+    assert largest_override(bound, q, dq, hidden, StopLimits("0")) == 1.0
+    rng = np.random.default_rng(2)
+    for part in np.linspace(0.0, 1.0, 300):
+        x = np.concatenate([q, part * dq]) + hidden * rng.choice([-0.999, 0.999], 12)
+        assert any(np.all(lo <= x) and np.all(x <= hi) for lo, hi in boxes)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from stop_sampling import ANGLE_ERROR, DT
 from stopset.artifact import Model, save_model
 from stopset.cli.main import main
 from stopset.offline.stops.directions import hull
+from stopset.offline.stops.separation import protective_separation
+from stopset.offline.stops.shown import terms
 from stopset.offline.stops.table import Question, StopRow, holding, prepared, stop_table
 from stopset.reach.stops import Category, Ramp, StopBounds
 
@@ -107,3 +109,37 @@ def test_a_margin_is_told_rounded_down(model: Model, bounds: StopBounds, tmp_pat
     )
     for r, line in zip(rows, csv.DictReader((tmp_path / "a.csv").open()), strict=True):
         assert all(float(x) <= m + 1e-9 for x, m in zip(line["holding margin [N m]"].split(), r.margin, strict=True))
+
+
+def test_terms_of_a_separation_distance_are_told_rounded_up(
+    capsys: pytest.CaptureFixture[str], model: Model, tmp_path: Path
+) -> None:
+    """What a reader adds up is never less than the sum: stopping time, distance and speed are bounds."""
+    given = {"v_h": 1.6, "T_r": 0.1, "C": 0.2, "Z_d": 0.05, "Z_r": 0.01}
+    found = protective_separation(0.314421, 0.123419, 1.987613, given)
+    ((_, _, rows),) = terms([found])
+    shown = {symbol: float(value) for symbol, value, *_ in rows}
+    assert all(x <= shown[symbol] < x + 1.1e-4 for symbol, x, *_ in found.terms)
+    assert shown["S_h"] + shown["S_r"] + shown["S_s"] + shown["C"] + shown["Z_d"] + shown["Z_r"] >= found.distance
+    save_model(model, tmp_path / "m.json")
+    asked = [
+        "--category",
+        "0",
+        "--at",
+        "0,0.5,0.6,0,0.3,0",
+        "--speed",
+        "87%",
+        "--separation",
+        "--v-human",
+        "1.6",
+        "--reaction",
+        "0.1",
+    ]
+    asked += ["--intrusion", "0.2", "--person-uncertainty", "0.05", "--robot-uncertainty", "0.01"]
+    assert main(["stops", str(tmp_path / "m.json"), *asked, "--json", str(tmp_path / "a.json")]) == 0
+    said = {
+        words[0]: float(words[1])
+        for line in capsys.readouterr().out.splitlines()
+        if (words := line.split()) and words[0] == "T_s"
+    }
+    assert said["T_s"] >= max(r["time_s"] for r in json.loads((tmp_path / "a.json").read_text()))

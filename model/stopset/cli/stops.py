@@ -228,7 +228,7 @@ def _print(
         mark = " EXTRAPOLATED," if s.extrapolated else ""
         say(f"separation distance,{mark} {s.standard}, STOP {s.category}: {up(s.distance, 3)} m")
         for symbol, value, unit, what in s.terms:
-            say(f"  {symbol:<4} {value:9.4f} {unit:<4} {what}")
+            say(f"  {symbol:<4} {up(value, 4):>9} {unit:<4} {what}")
     for sentence in holding(model, rows):
         say(sentence)
     for a in assumptions:

@@ -46,9 +46,9 @@ def travels(robot: Robot, q: Array, s: Array) -> tuple[Array, Array]:
 
 
 def margins(robot: Robot, limits: StopLimits, q: Array, numbers: Numbers, slack: Array) -> dict[str, Any]:
-    """What is left at the pose read ``q`` (n,) if a stop with these bounds began now; negative: it is not kept, None: not known.
+    """What is left at the pose ``q`` (n,) if a stop with these bounds began now; negative: it is not kept, None: not known.
 
-    ``slack`` (n,) [rad]: by how much the reading may be wrong.
+    ``slack`` (n,) [rad]: how far from ``q`` the true pose may be.
     """
     if not numbers.provable.all():
         return {"certified": False, "why": numbers.why}

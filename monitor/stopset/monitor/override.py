@@ -16,6 +16,7 @@ import numpy as np
 
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import Masses, StopLimits, Stops
+from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.spawned import Spawned, Work
 from stopset.types import Array
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from stopset.monitor.config import Config
 
 STRETCHES = 10
-FEWEST = 1e-3  # [rad/s] slower joints count as standing still
 Bound = Callable[[Array, Array], Numbers]  # of a box of states, its least and largest (2n,)
 
 
@@ -35,12 +35,12 @@ def keeps(numbers: Numbers, limits: StopLimits) -> bool:
     return bool(numbers.time.max() <= limits.time_s and angle <= limits.angle_rad and numbers.tcp <= limits.tcp_m)
 
 
-def largest_override(bound: Bound, q: Array, dq: Array, limits: StopLimits) -> float:
-    """Between 0 and 1: ``bound`` proves every speed from rest to this part of ``dq`` (n,) [rad/s] at ``q`` (n,) [rad]."""
+def largest_override(bound: Bound, q: Array, dq: Array, slack: Array, limits: StopLimits) -> float:
+    """Between 0 and 1: ``bound`` proves every speed from rest to this part of ``dq`` (n,) [rad/s] at ``q`` (n,) [rad], ``slack`` (2n,) either way."""
     for k in range(STRETCHES):
         a, b = k / STRETCHES * dq, (k + 1) / STRETCHES * dq
         lo, hi = np.concatenate([q, np.minimum(a, b)]), np.concatenate([q, np.maximum(a, b)])
-        if not keeps(bound(lo, hi), limits):
+        if not keeps(bound(lo - slack, hi + slack), limits):
             return k / STRETCHES
     return 1.0
 
@@ -52,7 +52,7 @@ def _advise(
     from stopset.monitor.stopworker import answer_for, asked, prepare
 
     prepared, refusal = prepare(model_path, payload, stops, sha256)
-    for t, q, dq in asked(pipe):
+    for t, q, dq, slack in asked(pipe):
 
         def bound(lo: Array, hi: Array) -> Numbers:
             return (
@@ -60,7 +60,7 @@ def _advise(
             )
 
         with contextlib.suppress(OSError):
-            pipe.send((t, largest_override(bound, q, dq, limits)))
+            pipe.send((t, largest_override(bound, q, dq, slack, limits)))
 
 
 def _advice() -> Work:
@@ -85,14 +85,14 @@ class Advisor:
         with contextlib.suppress(OSError):  # it has ended: no advice
             spawned.assign(c.model, self.sha256, c.payload_kg, c.stops, c.limits)
 
-    def offer(self, now: float, t: float, q: Array, dq: Array) -> None:
-        """The newest state, at ``now`` [s, monotonic]; takes an answer if there is one. Never waits, never raises."""
+    def offer(self, now: float, s: Sample, quantum: Quantum) -> None:
+        """The newest reading, at ``now`` [s, monotonic], and what the bus hides of it; takes an answer if there is one. Never waits, never raises."""
         try:
             if self._pipe.poll(0):
                 self.said, self._waiting = self._pipe.recv(), False
             if not self._waiting and now >= self._next:
                 self._next, self._waiting = now + self.config.limits.override_every_s, True
-                self._pipe.send((t, np.array(q), np.where(np.abs(dq) < FEWEST, 0.0, dq)))
+                self._pipe.send((s.t, s.q, s.dq, np.concatenate([quantum.q, quantum.dq])))
         except (OSError, EOFError):
             self.said = None  # the process is gone: no advice
 

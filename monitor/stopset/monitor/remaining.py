@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
-
-import numpy as np
 
 from stopset.artifact import Model
 from stopset.monitor.certificates import Numbers
@@ -13,6 +11,8 @@ from stopset.monitor.config import Config, StopLimits
 from stopset.monitor.margins import exceeded, margins
 from stopset.monitor.override import Advisor
 from stopset.monitor.sample import Quantum, Sample
+from stopset.reach.stops.setting import readings_of
+from stopset.sets import Box
 
 
 @dataclass(slots=True)
@@ -24,6 +24,11 @@ class Remaining:
     advisor: Advisor | None
     margins: dict[str, Any] | None = None
     override: dict[str, Any] | None = None
+    _begins: Box = field(init=False)  # (n,) [rad] where the stop's angles begin, less those that are read
+
+    def __post_init__(self) -> None:
+        noise, start = readings_of(self.model)
+        self._begins = (start if self.limits.category == "0" else Box(-noise.hi, -noise.lo)).take(slice(0, self.model.n))
 
     @classmethod
     def of(cls, config: Config, model: Model) -> Self:
@@ -35,11 +40,9 @@ class Remaining:
         numbers = stops.get(self.limits.category)
         if numbers is None:
             return []
-        V = self.model.powered.V
-        slack = quantum.q + np.maximum(np.abs(V.lo), np.abs(V.hi))[: self.model.n]
-        self.margins = margins(self.model.robot, self.limits, s.q, numbers, slack)
+        self.margins = margins(self.model.robot, self.limits, s.q + self._begins.centre, numbers, quantum.q + self._begins.radius)
         if self.advisor is not None:
-            self.advisor.offer(now, s.t, s.q, s.dq)
+            self.advisor.offer(now, s, quantum)
             if (said := self.advisor.said) is not None:
                 self.override = {"percent": 100.0 * said[1], "category": self.limits.category, "t_ns": round(said[0] * 1e9)}
             else:

@@ -116,11 +116,8 @@ def setting_of(
     # a constant torque seen in the powered data may belong to the drive or to the arm: with and without it
     offset = model.abstraction.offset if model.abstraction.offset.shape == (n,) else np.zeros(n)
     free = Box(sets.U.lo - np.maximum(offset, 0.0), sets.U.hi - np.minimum(offset, 0.0))
-    misread = misreadings(model, torques.fastest)
-    noise = Box(sets.V.lo - misread.hi, sets.V.hi - misread.lo)
-    start, residual = Box(-noise.hi, -noise.lo), Box.point(np.zeros(n))
-    if regime == "stop0":
-        start, residual = sets.X0 + misread, sets.X0.take(slice(n, 2 * n))
+    noise, start = readings_of(model)
+    residual = sets.X0.take(slice(n, 2 * n)) if regime == "stop0" else Box.point(np.zeros(n))
     lo, hi = model.domain.payload
     inside = lo - 1e-9 <= carried[0] and carried[1] <= hi + 1e-9
     setting = Setting(
@@ -129,6 +126,15 @@ def setting_of(
         extrapolated="" if inside else f"EXTRAPOLATED PAYLOAD: recordings carried {lo:g} to {hi:g} kg",
     )  # fmt: skip
     return replace(setting, assumptions=tuple(_assumptions(setting, brakes, regime, mass_uncertainty)))
+
+
+def readings_of(model: Model) -> tuple[Box, Box]:
+    """(2n,) each: error of a measured state, less what effects of the model set right in it; and what a power-off stop starts from, less
+    the measured state."""
+    sets = model.sets.get("stop0", model.powered)
+    misread = misreadings(model, np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi)))
+    noise = Box(sets.V.lo - misread.hi, sets.V.hi - misread.lo)
+    return noise, sets.X0 + misread if "stop0" in model.sets else Box(-noise.hi, -noise.lo)
 
 
 def payload_of(model: Model, payload: tuple[float, float] | None, *, extrapolate: bool) -> tuple[float, float]:

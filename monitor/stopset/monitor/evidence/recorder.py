@@ -25,8 +25,9 @@ from stopset.errors import StopsetError
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.evidence import plausible
 from stopset.monitor.evidence.bundle import BundleContents, Incident, span, write_bundle
+from stopset.monitor.evidence.case import AFTER
 from stopset.monitor.evidence.cause import UNCLASSED, Cause
-from stopset.monitor.evidence.classify import AFTER, classify
+from stopset.monitor.evidence.classify import classify
 from stopset.monitor.evidence.dynamics import Dynamics
 from stopset.monitor.evidence.running import Running
 from stopset.monitor.evidence.trace import Trace, Window

@@ -150,7 +150,7 @@ def terms(separations: Sequence[Separation]) -> Iterator[tuple[str, tuple[str, .
         mine = [s for s in separations if s.standard == standard]
         rows: list[tuple[str, ...]] = []
         for k, (symbol, _, unit, what) in enumerate(mine[0].terms):
-            rows.append((symbol, *(f"{s.terms[k][1]:.4g}" for s in mine), unit, what))
+            rows.append((symbol, *(up(s.terms[k][1], 4) for s in mine), unit, what))
         rows.append(("S", *(up(s.distance, 3) for s in mine), "m", "separation distance, rounded up"))
         heads = (f"STOP {s.category}{' EXTRAPOLATED' if s.extrapolated else ''}" for s in mine)
         yield standard, ("term", *heads, "unit", "what"), rows

@@ -45,6 +45,17 @@ void stops_total(int n, const Bands *b, double *lo, double *hi) {
     }
 }
 
+/* Whether both hold the same numbers, where they hold any. */
+int stops_same_bands(int n, const Bands *a, const Bands *b) {
+    int same = 1;
+    for (int i = 0; i < n; i++) {
+        same &= a->alive[i] == b->alive[i] && a->rested[i] == b->rested[i];
+        same &= !a->alive[i] || (a->first_lo[i] == b->first_lo[i] && a->first_hi[i] == b->first_hi[i]);
+        same &= !a->rested[i] || (a->later_lo[i] == b->later_lo[i] && a->later_hi[i] == b->later_hi[i]);
+    }
+    return same;
+}
+
 /* Interval of (m +- r) [lo, hi], added. */
 static void add_product(double m, double r, double lo, double hi, double *out_lo, double *out_hi) {
     const double a = (m - r) * lo, b = (m + r) * lo, c = (m - r) * hi, d = (m + r) * hi;

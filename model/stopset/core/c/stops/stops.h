@@ -118,6 +118,7 @@ void stops_pivot_slopes(int n, const Along *A, int k, Along *B);
 void stops_accelerations(const Local *at, const Step *s, double out[RATES][SN]);
 void stops_related(const Near *near, const Step *s, double out[RATES][SN]);
 void stops_start_bands(int n, const Span *v, Bands *b);
+int stops_same_bands(int n, const Bands *a, const Bands *b);
 void stops_total(int n, const Bands *b, double *lo, double *hi);
 void stops_start_momentum(const Near *near, const Span *x, const Span *v, const Bands *b, Momentum *m);
 void stops_retained_impulse(const Near *near, const Momentum *m, const Step *s, const Bands *before, const Bands *after, const Span *v,

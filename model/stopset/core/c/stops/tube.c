@@ -26,6 +26,7 @@ typedef struct {
     const StopsetTube *tube;
     double widest; /* band of speeds with which a tube ends */
     int n, energetic, pulled, related, asked; /* pulled: the momenta still say more than the energy; asked: so do accelerations, or may yet */
+    int tightens; /* what first excursions have left of momentum still cuts bands, or may yet */
     _Alignas(32) double claim[4][SN], last[4][SN], out[RATES][SN], need[SN], drop[SN], retained[SN];
     Span q, farthest; /* angles at the cut; displacements from now on, by energy */
     Span w, x, v;     /* on the step: claimed speeds, angles from the pose, speeds under its lines */
@@ -368,8 +369,18 @@ static void pull(March *m, double *v_lo, double *v_hi) {
     m->energy.y = least(m->energy.y, stops_largest(&m->near.at, v_lo, v_hi));
 }
 
+/* Bands cut by the momenta of first excursions; no more, as subsets of joints are what that costs, once they have cut none after a step of
+ * which accelerations are not known. */
+static void tighten(March *m, int verified, double *v_lo, double *v_hi) {
+    const Bands before = m->end;
+    if (!m->tightens) return;
+    stops_tighten(&m->end, &m->momentum, &m->near.at, v_lo, v_hi);
+    m->tightens = verified || !stops_same_bands(m->n, &before, &m->end);
+    stops_total(m->n, &m->end, v_lo, v_hi);
+}
+
 /* Momenta, energy and bands at the knot after step k. */
-static void settle(March *m, int64_t k, double y) {
+static void settle(March *m, int64_t k, double y, int verified) {
     const int n = m->n;
     double before[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
     memcpy(before, m->momentum.needed, sizeof before);
@@ -390,8 +401,7 @@ static void settle(March *m, int64_t k, double y) {
         stops_cap_bands(n, &m->end, &end);
         stops_total(n, &m->end, v_lo, v_hi);
     }
-    stops_tighten(&m->end, &m->momentum, &m->near.at, v_lo, v_hi);
-    stops_total(n, &m->end, v_lo, v_hi);
+    tighten(m, verified, v_lo, v_hi);
     if (m->energetic && m->pulled)
         pull(m, v_lo, v_hi);
     else if (m->energetic)
@@ -462,7 +472,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
     m.tube = tube;
     m.n = n;
     m.energetic = m.pulled = energetic;
-    m.asked = 1;
+    m.asked = m.tightens = 1;
     m.related = related;
     tube->t[0] = 0.0;
     for (int i = 0; i < n; i++) tube->travel_left[i] = STOPS_INF;
@@ -489,7 +499,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
         m.related = m.related && verified; /* where it does not help it costs the most */
         m.asked = !energetic || (m.asked && verified && (pulled || cuts(&m, tube->e_lo + k * n, tube->e_hi + k * n)));
         displace(&m, k);
-        settle(&m, k, y);
+        settle(&m, k, y, verified);
         tube->t[k + 1] = now + m.s.h;
         *made = k + 1;
         for (int i = 0; i < n; i++) tube->travel_left[(k + 1) * n + i] = STOPS_INF;
