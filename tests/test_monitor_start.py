@@ -34,9 +34,26 @@ Spawned.begin = classmethod(begin)
 from stopset.cli.main import main
 main(["monitor", "--config", sys.argv[1]])
 """
-LOADED = (
-    'import sys, stopset.cli.main, stopset.monitor.service; print(sorted({"pyarrow", "stopset.reach.stops"} & set(sys.modules)))'
-)
+LOADED = "import sys, stopset.cli.main, stopset.monitor.service; print(sorted({'pyarrow', 'scipy'} & set(sys.modules)))"
+
+
+REFUSED = """
+import resource, time
+from pathlib import Path
+from stopset.monitor.opening import Opening
+
+opening, size = Opening(lambda: "a source"), int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (size + 500_000, resource.RLIM_INFINITY))
+try:
+    print(opening.turn())
+except RuntimeError as e:
+    resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    print(e)
+end = time.monotonic() + 5.0
+while (source := opening.turn()) is None and time.monotonic() < end:
+    time.sleep(0.01)
+print(source)
+"""
 
 
 def said_by(code: str, *words: str) -> str:
@@ -51,7 +68,7 @@ def test_what_bounds_stops_is_copied_with_what_it_needs_before_there_are_threads
     assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == "stop-bounds True 1 ['stopset.monitor.stopworker']"
 
 
-def test_the_daemon_loads_nothing_that_only_recordings_or_proofs_need() -> None:
+def test_the_daemon_loads_nothing_that_only_recordings_need() -> None:
     assert said_by(LOADED).strip() == "[]"
 
 
@@ -108,3 +125,9 @@ def test_it_goes_to_the_cores_that_the_loop_is_given() -> None:
         os.sched_setaffinity(0, all_cores)
         begun.process.kill()
         begun.process.join()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of a running process")
+def test_a_bus_is_opened_again_though_the_machine_refused_a_thread() -> None:
+    """It was waited for the thread that had never begun, for ever."""
+    assert said_by(REFUSED).split("\n")[:2] == ["can't start new thread", "a source"]

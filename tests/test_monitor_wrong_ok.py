@@ -6,9 +6,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import os
 import shutil
 import signal
 import socket
+import sys
 import threading
 import time
 from collections import deque
@@ -378,6 +380,34 @@ def test_a_flooded_bus_and_stamps_that_are_no_numbers_are_no_ok_and_no_silence(c
         assert max(granted.between(a, b) for a, b in itertools.pairwise(made)) < 1.0
         assert monitor.poll() is None and not GOOD & set(ear.states)
     hub.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of a running process")
+@pytest.mark.parametrize("lacking", ["file descriptors", "memory"])
+def test_a_machine_that_gives_nothing_more_does_not_end_the_monitor(cell: Cell, lacking: str) -> None:
+    """Whoever filled its shared memory, or left it no descriptor, ended it: zenoh's Rust panics then, which is no `Exception`."""
+    import resource
+
+    with cell.replay(), cell.daemon() as monitor, Ear(cell.port) as ear:
+        proc = Path(f"/proc/{monitor.pid}")
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0)
+        if lacking == "memory":
+            (words,) = [w.split() for w in (proc / "status").read_text().splitlines() if w.startswith("VmSize")]
+            resource.prlimit(monitor.pid, resource.RLIMIT_AS, (1024 * int(words[1]) + 100_000, resource.RLIM_INFINITY))
+        else:
+            resource.prlimit(monitor.pid, resource.RLIMIT_NOFILE, (len(list((proc / "fd").iterdir())), 4096))
+        begun = len(ear.raw)
+        monitor.send_signal(signal.SIGHUP)  # which a thread is to see to
+        for child in (proc / f"task/{monitor.pid}/children").read_text().split():
+            os.kill(int(child), signal.SIGKILL)  # what bounds stops, to be begun anew
+        assert ear.wait(lambda: len(ear.raw) > begun + 500, 40.0) and monitor.poll() is None, "it goes on"
+        said = {e["kind"] for e in ear.events}
+        assert said & {"fault", "reload_refused"}, "and says what it lacks"
+        resource.prlimit(monitor.pid, resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        resource.prlimit(monitor.pid, resource.RLIMIT_NOFILE, (4096, 4096))
+        monitor.send_signal(signal.SIGHUP)
+        assert ear.wait(lambda: "reloaded" in {e["kind"] for e in ear.events}), "as soon as the machine has what it needs"
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0)
 
 
 # ---- what the consumers believe ---------------------------------------------------------------------------------------
