@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from monitor_arm import NOISE, known_model
-from stopset.artifact import Model
+from patience import wait
+from stopset.artifact import Model, save_model
 from stopset.effects.base import Fitted
-from stopset.monitor.config import Plane, StopLimits
+from stopset.monitor.config import Bus, Config, Plane, StopLimits
 from stopset.monitor.margins import ends
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.sample import Quantum, Sample
@@ -47,6 +52,27 @@ def true_poses(model: Model, q: Array, count: int, rng: np.random.Generator) -> 
             x[model.joints.index(str(f.joint))] += OFF + 3.0 * STD * rng.choice([-1.0, 1.0])
         out.append(x)
     return out
+
+
+def test_advice_of_a_process_that_hangs_is_none(tmp_path: Path) -> None:
+    """The last one was told for ever, as if it were of now."""
+    model = save_model(known_model(), tmp_path / "arm.model.json")
+    limits = StopLimits("0", override=True, override_every_s=0.2)
+    config = Config(str(tmp_path / "arm.model.json"), Bus("hub:1"), data_id=7, limits=limits)
+    still, remaining = np.zeros(6), Remaining.of(config, model)
+    stops = {"0": PreparedStops.of(model, None, None).numbers("0", *[still] * 4)}
+
+    def advice() -> object:
+        remaining.measure(time.monotonic(), Sample(0, time.time(), still, still), stops, Quantum.none(6))
+        return remaining.override
+
+    try:
+        assert wait(lambda: advice() is not None, 60.0)
+        assert remaining.advisor is not None
+        os.kill(remaining.advisor._process.pid, signal.SIGSTOP)
+        assert wait(lambda: advice() is None, 20.0)
+    finally:
+        remaining.close()
 
 
 @pytest.mark.parametrize("name", CASES)

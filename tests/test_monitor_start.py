@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from monitor_arm import known_model
 from monitor_process import environment
 from patience import wait
 from stopset.artifact import save_model
+from stopset.monitor import stopdesk
 from stopset.monitor.config import Stops
 from stopset.monitor.realtime import GOT, claim
 from stopset.monitor.sample import Quantum
@@ -86,6 +88,27 @@ def test_a_desk_takes_the_process_that_was_begun_and_another_when_that_ends(tmp_
         begun.process.kill()
         assert wait(lambda: bounded() and desk.restarts == 1 and desk._ready, 60.0)
         assert desk._process is not begun.process and desk._process.is_alive()
+    finally:
+        desk.close()
+
+
+def test_a_process_that_hangs_is_ended_and_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was waited for for ever: no stop was bounded again."""
+    model = save_model(known_model(), tmp_path / "m.model.json")
+    begun, x = Spawned.bounding_stops(), np.zeros(6)
+    desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
+
+    def bounded() -> bool:
+        desk.offer(time.monotonic(), x, 0.0 * x)
+        return desk.now(x, 0.0 * x)[1]
+
+    try:
+        assert wait(bounded, 60.0)
+        os.kill(begun.process.pid, signal.SIGSTOP)
+        monkeypatch.setattr(stopdesk, "HUNG", 3.0)
+        x = x + 0.7  # where nothing that is kept holds
+        assert wait(lambda: bounded() and desk.restarts >= 1, 60.0)
+        assert desk._process is not begun.process
     finally:
         desk.close()
 

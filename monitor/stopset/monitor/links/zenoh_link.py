@@ -79,7 +79,7 @@ class ZenohLink:
             try:
                 p.put(data)
             except BaseException as e:
-                raise _told(e) from e
+                raise _raised(e) from e
 
         return put
 
@@ -89,7 +89,7 @@ class ZenohLink:
         try:
             self._session.put(self.key(name), data, congestion_control=control)
         except BaseException as e:
-            raise _told(e) from e
+            raise _raised(e) from e
 
     def subscribe(self, name: str, handler: Callable[[str, bytes], None]) -> None:
         """Call ``handler(key, data)`` from zenoh's thread for every message; keep it short."""
@@ -135,6 +135,6 @@ class ZenohLink:
         closing.join(PATIENCE)
 
 
-def _told(e: BaseException) -> BaseException:
+def _raised(e: BaseException) -> BaseException:
     """What to raise for an error of zenoh's: a panic of its Rust, no `Exception`, would pass everybody who is to go on."""
     return BusError(f"zenoh failed inside: {e}") if type(e).__name__ == "PanicException" else e
