@@ -49,17 +49,20 @@ def judged(
 
     A delay is judged against ``now`` with its joint's stamps held: far off, they would imitate a good part of it.
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
-    Beside other claims against a model from other recordings, whose base is not free, it must show.
+    Beside other claims against a model from other recordings, whose base is not free, it must show; so must a second one of its kind where
+    its joint keeps more than its noise: two of them share what one description is off by, as half a degree of tilt beside a load.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
-    if candidate.effect.absorbed and not (earlier and now.engine.modelled):
-        return Step(before, after, "", candidate.joints)
     where = list(candidate.joints) or list(range(len(before)))
     share = 1.0 - after[where] / before[where]
+    keeps = bool(left) and left[where[int(np.argmax(share))]] > limit.QUIET
+    second = keeps and any(c.effect.absorbed for c in earlier)
+    if candidate.effect.absorbed and not (second or (earlier and now.engine.modelled)):
+        return Step(before, after, "", candidate.joints)
     lowered, expected, beside = float(np.max(share)), _least(candidate, earlier), ""
-    if left and left[where[int(np.argmax(share))]] > limit.QUIET and expected < limit.STANDS_OUT:
+    if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
     why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"
     return Step(before, after, "" if lowered > expected else why, candidate.joints)
