@@ -22,6 +22,7 @@ from stopset.monitor.realtime import GOT, claim
 from stopset.monitor.sample import Quantum
 from stopset.monitor.spawned import Spawned
 from stopset.monitor.stopdesk import StopDesk, seen_by
+from stopset.monitor.stopworker import prepare
 
 BEGUN = """
 import os, sys
@@ -90,6 +91,15 @@ def test_a_desk_takes_the_process_that_was_begun_and_another_when_that_ends(tmp_
         assert desk._process is not begun.process and desk._process.is_alive()
     finally:
         desk.close()
+
+
+def test_a_model_file_that_was_cut_is_told_as_that(tmp_path: Path) -> None:
+    """By whom bounds stops and was begun anew meanwhile: it ended over it, and after five times for good."""
+    path = tmp_path / "m.model.json"
+    save_model(known_model(), path)
+    path.write_bytes(path.read_bytes()[:5000])
+    prepared, why = prepare(str(path), None, Stops(("0",)), "ab" * 32)
+    assert prepared is None and "is damaged" in why
 
 
 def test_a_process_that_hangs_is_ended_and_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
