@@ -95,12 +95,12 @@ class SocketCanListener:
         ):
             if control > STAMPED:
                 self.lost = max(self.lost, lost)
+            if size != FRAME.size or flags & socket.MSG_TRUNC:  # CAN FD frames are longer, and cut
+                continue
             if identifier & ERROR:  # whatever else is set with it
                 failed = True
                 continue
-            if (
-                size != FRAME.size or flags & socket.MSG_TRUNC or identifier & (EXTENDED | REMOTE)
-            ):  # CAN FD frames are longer, and cut
+            if identifier & (EXTENDED | REMOTE):
                 continue
             t = seconds + 1e-9 * nano if control >= STAMPED else math.nan  # which counts as old as can be
             batch.put(Frame(identifier, data[:length], t))
