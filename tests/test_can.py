@@ -541,6 +541,18 @@ def test_an_error_frame_is_one_however_long_its_identifier_is_said_to_be() -> No
     sender.shutdown()
 
 
+def test_a_can_fd_frame_is_no_drives() -> None:
+    """Its first eight bytes were taken for the process data that stand under its identifier."""
+    sender, hears = can.Bus(interface="virtual", channel="fd"), listen("virtual:fd")
+    with contextlib.closing(hears):
+        for data, fd in ((bytes(64), True), (b"\x01", False)):
+            sender.send(can.Message(arbitration_id=0x182, data=data, is_fd=fd, is_extended_id=False))
+        assert hears.recv(2.0) is None
+        frame = hears.recv(2.0)
+        assert frame is not None and bytes(frame.data) == b"\x01"
+    sender.shutdown()
+
+
 class Fed:
     """A bus that gives what is put into ``frames``."""
 

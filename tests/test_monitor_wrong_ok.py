@@ -612,6 +612,27 @@ def test_two_monitors_of_one_data_id_are_believed_by_no_consumer(cell: Cell, rea
         assert wait(all_in(both, GOOD), 40.0), "it was switched off"
 
 
+def test_another_tool_is_another_configuration_and_the_latch_goes_with_it(cell: Cell, reader: Path) -> None:
+    """As docs/how-to/deploy.md has it: one file per tool, one journal; who expects one tool believes no monitor of the other."""
+    empty, loaded = cell.config, cell.config.with_name("loaded.toml")
+    text = f'journal = "{cell.folder / "arm.latch"}"\n' + empty.read_text()
+    empty.write_text("payload_kg = [0.0, 0.0]\n" + text)
+    loaded.write_text("payload_kg = 0.0\n" + text)
+    with running("monitor", "--config", str(empty)) as monitor, Ear(cell.port) as ear:
+        with cell.replay("altered", "--wait", "1") as replay:
+            replay.wait(timeout=600)
+        assert ear.wait(lambda: ear.twins and ear.twins[-1]["violation_latched"])
+        monitor.terminate()
+        monitor.wait(timeout=600)
+    with running("monitor", "--config", str(loaded)), cell.replay(), Ear(cell.port) as ear:
+        assert ear.wait(lambda: len(ear.twins) > 1) and ear.twins[-1]["violation_latched"], "another file, the same arm"
+        ear.link.put("reset", b'{"name": "A. Person", "reason": "seen to"}')
+        with consumers(cell, reader, ear.link) as both:
+            assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0), {t["why"] for t in ear.twins}
+            rest(1.0)
+            assert not any(c.since(0.0) & GOOD for c in both) and all(Fault.OTHER_CONFIG in c.faults(0.0) for c in both)
+
+
 def test_the_health_check_is_green_for_a_fresh_valid_message_only(cell: Cell) -> None:
     def green(seconds: int) -> bool:
         p = stopset("watch", "--config", str(cell.config), "--check", "--seconds", str(seconds))

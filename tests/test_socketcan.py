@@ -103,11 +103,13 @@ def test_what_is_no_classic_frame_is_left_out_and_an_error_frame_is_said(wire: W
     for identifier in (0x181, 0x181 | EXTENDED, 0x182 | REMOTE, 0x183):
         wire.send(identifier, b"\x01")
     wire._out.send(b"short")
+    wire._out.send(struct.pack("=IBBxx64s", 0x182, 64, 1, bytes(64)))  # CAN FD, which a socket that was asked for it gives whole
     listener.fill(batch, 60.0)
     assert [i for i, _ in heard(batch)] == [0x181, 0x183]
-    wire.send(0x020 | ERROR, b"\x01")
-    with pytest.raises(BusError, match="error frame on the bus"):
-        listener.fill(batch, 60.0)
+    for also in (0, EXTENDED):
+        wire.send(0x020 | ERROR | also, b"\x01")
+        with pytest.raises(BusError, match="error frame on the bus"):
+            listener.fill(batch, 60.0)
     wire.send(0x184, b"\x02")
     listener.fill(batch, 60.0)
     assert heard(batch) == [(0x184, b"\x02")], "and it goes on"

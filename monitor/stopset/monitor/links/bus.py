@@ -107,7 +107,7 @@ class _CanListener:
             raise BusError(f"the bus failed ({e}); check cable, power and termination") from e
         if m is not None and m.is_error_frame:  # of any length of identifier: some adapters give it one
             raise BusError("error frame on the bus; check termination and bit rate")
-        if m is None or m.is_remote_frame or m.is_extended_id:
+        if m is None or m.is_remote_frame or m.is_extended_id or m.is_fd:
             return None
         return Frame(m.arbitration_id, m.data, m.timestamp)
 

@@ -38,7 +38,7 @@ class _Message(ctypes.Structure):
 
 
 FRAME = struct.Struct("=IB3x8s")  # a struct can_frame
-FILLED = struct.Struct("=40xQ8xI4x")  # of a _Message: bytes of control messages, of the frame
+FILLED = struct.Struct("=40xQi4xI4x")  # of a _Message: bytes of control messages, flags, bytes of the frame
 STAMP = struct.Struct("=16xqq16xI12x")  # the two control messages: seconds and nanoseconds, frames lost
 STAMPED = 32  # bytes of the first, which always comes; the second does from the first loss on
 
@@ -90,15 +90,17 @@ class SocketCanListener:
     def _put(self, batch: Batch, count: int) -> None:
         failed = False
         filled, stamps = FILLED.iter_unpack(self._filled[: count * FILLED.size]), STAMP.iter_unpack(self._control)
-        for (identifier, length, data), (control, size), (seconds, nano, lost) in zip(
+        for (identifier, length, data), (control, flags, size), (seconds, nano, lost) in zip(
             FRAME.iter_unpack(self._data), filled, stamps, strict=False
         ):
             if control > STAMPED:
                 self.lost = max(self.lost, lost)
-            if size != FRAME.size or identifier & (EXTENDED | REMOTE):
+            if size != FRAME.size or flags & socket.MSG_TRUNC:  # CAN FD frames are longer, and cut
                 continue
-            if identifier & ERROR:
+            if identifier & ERROR:  # whatever else is set with it
                 failed = True
+                continue
+            if identifier & (EXTENDED | REMOTE):
                 continue
             t = seconds + 1e-9 * nano if control >= STAMPED else math.nan  # which counts as old as can be
             batch.put(Frame(identifier, data[:length], t))
