@@ -59,6 +59,7 @@ LEFT_OUT = (
     ("stopset.offline.identify.pipeline", "PASSES", BUDGET),
     ("stopset.offline.identify.signals_file", "*", FORMAT),
     ("stopset.offline.identify.pipeline", "FITTING", WORDS),
+    ("stopset.offline.identify.absurd", "BEHIND_GEARS", WORDS),
     ("stopset.offline.conform.nonlinear_sets", "TOGETHER", BUDGET),
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
