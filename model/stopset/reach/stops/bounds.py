@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, reached, slices, swept_capsules
+from stopset.reach.stops.compiled import ramp_torque
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import TUBES, failed_stops
@@ -178,11 +179,8 @@ class StopBounds:
         time = ramp_time(ramp, speeds.lo, speeds.hi)
         if time is None:
             return self._refused(category, NO_REST, q)
-        extra = plant.coulomb_hi + plant.viscous_hi * start.fastest + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
-        bodies = (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
-        # the fastest states of the box, each joint in its direction, ask for more than its middle
-        outward = start.dq + np.sign(start.dq) * start.dq_radius
-        refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, outward)
+        extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
+        refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube) + extra)
         if refusal:
             return self._refused(category, refusal, q)
         if category == "2":
