@@ -301,6 +301,15 @@ def test_ends_that_a_filter_bent_are_left_out(tmp_path: Path, motion: Recording)
     seen = [np.max(reading_residual(x.q, x.dq, 0.008).reach[3:]) for x in (bent(whole), r, whole)]
     assert seen[0] > 3 * seen[1], "a bent end would be the error of every reading"
     assert seen[1] <= 1.1 * seen[2]
+    # a file with suites and trials and without phases is taken for open loop, whose trials begin alike: their ends alone are left out
+    write_recordings(path, META, [replace(bent(whole), phase="open_loop")])
+    (r,) = read_recordings(path).trials
+    assert r.bent[0] == 0.0 and 0.2 < r.bent[1] < 0.8
+    back = bent(replace(whole, q=whole.q[::-1], dq=-whole.dq[::-1]))
+    mirrored = replace(back, q=back.q[::-1], dq=-back.dq[::-1])
+    for phase, begins in (("closed_loop", True), ("open_loop", False)):
+        write_recordings(path, META, [replace(mirrored, phase=phase)])
+        assert (read_recordings(path).trials[0].bent[0] > 0.2) == begins
     stopped = replace(bent(whole), phase="stop1")
     write_recordings(path, META, [stopped])
     assert read_recordings(path).trials[0].bent == (0.0, 0.0)
