@@ -11,8 +11,8 @@ from stopset.offline.campaign.reading_error import SMOOTH, reading_residual
 from stopset.offline.inspect.finding import Finding
 from stopset.recording.types import Recording
 
-# times what all but the largest hundredth of moving samples differ by.  24 recordings of three real arms reach 4.8 (a person pushes), each of
-# two with jolts 10 and more at most joints; a recording's bent end, left out before, reached 12
+# times what all but the largest hundredth of moving samples differ by.  recordings of three real arms reach 4.8 (a person pushes), that of a
+# fourth with jolts 10 to 17 at each joint; ends that a filter bent, left out before, 12
 JOLT = 8.0
 SEEN = 0.1  # of the joint's largest speed: less than that is a flaw of a reading and widens nothing
 FEWEST = 300  # moving samples that tell what is usual
