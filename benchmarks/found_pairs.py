@@ -6,6 +6,7 @@ from a healthy file, diagnosed from one of weeks later.  Effects have sizes of r
 OUT, so a run may be broken off and taken up again.
 
     python benchmarks/found_pairs.py ask ARMS... --seed 300 --out OUT [--parallel 2]
+    python benchmarks/found_pairs.py ask ARMS... --seed 300 --drawn 50 --out OUT      (cases drawn at random: any effect, joint, size, trouble)
     python benchmarks/found_pairs.py rate --out OUT
 """
 
@@ -101,8 +102,38 @@ CASES = (
 )  # fmt: skip
 
 
+DRAWN = (
+    *EFFECTS, ("quadratic_load", "loaded", _of(2e-3)), ("coupling", "upright", _of(0.2)), ("encoder_offset", "loaded", _of(0.03)),
+)  # fmt: skip
+FACTOR, HEALTHY, ODDS = 2.0, 0.25, 0.3  # how far a size is off its usual one, share of healthy arms, of files with each trouble
+
+
+def drawn(seed: int, joints: int) -> Case:
+    """A case of random effect, joint, size, motions and trouble."""
+    rng = np.random.default_rng(seed)
+    pair = bool(rng.random() < 0.5)
+    lengths = (30.0,) if rng.random() < ODDS else tuple(float(x) for x in rng.uniform(4.0, 12.0, rng.integers(4, 12)))
+    on = rng.random(4) < ODDS
+    gain, drift = (1.0 if pair or not on[0] else float(rng.uniform(0.95, 1.05))), 0.0
+    trouble = Trouble(
+        gain, 0.05 * float(rng.random()) * on[1], 1.5e-3 * float(rng.random()) * on[2], drift, 0.012 * on[3] * (not pair)
+    )
+    late = ("delay",) if trouble.late else ()
+    if rng.random() < HEALTHY:
+        return Case(f"drawn{' later' * pair} healthy", pair, lengths, trouble, verdicts=NONE)
+    effect, place, size = DRAWN[rng.integers(len(DRAWN))]
+    factor = float(np.exp(rng.uniform(-1, 1) * np.log(FACTOR)))
+    at = place if place in ("arm", "loaded") else str(rng.integers(joints))
+    return Case(
+        f"drawn{' later' * pair} {effect} at {at} times {factor:.2f}", pair, lengths, trouble, effect, at,
+        lambda robot, joint: factor * size(robot, joint), says=(effect, *late),
+    )  # fmt: skip
+
+
 def joint_of(robot: Robot, place: str) -> int:
     """Where a case happens."""
+    if place.isdigit():
+        return int(place)
     return {"upright": 0, "loaded": 1, "wrist": robot.n - 2, "arm": robot.n - 1, "": 0}[place]
 
 
@@ -171,14 +202,14 @@ def one(job: tuple[str, str, int, Path]) -> str:
     path, name, seed, out = job
     file = out / f"{Path(path).parent.name or path}_{seed}_{name.replace(' ', '_')}.json"
     if not file.exists():
-        case = next(c for c in CASES if c.name == name)
+        case = next(c for c in CASES if c.name == name) if name != "drawn" else drawn(seed, load_robot(path).n)
         try:
             answer = asked(path, case, seed)
         except StopsetError as error:  # a refusal is an answer, too
             answer = {"case": name, "right": False, "false": [], "verdict": f"{type(error).__name__}: {error}", "named": []}
         file.write_text(json.dumps(answer, default=str))
     answer = json.loads(file.read_text())
-    return f"{'right' if answer['right'] else 'WRONG'} {file.stem}: {answer['verdict']} {answer['named']}"
+    return f"{'right' if answer['right'] else 'WRONG'} {file.stem}: {answer['case']}: {answer['verdict']} {answer['named']}"
 
 
 def rate(out: Path) -> None:
@@ -186,9 +217,12 @@ def rate(out: Path) -> None:
     answers = [(f.stem, json.loads(f.read_text())) for f in sorted(out.glob("*.json"))]
     for name, a in answers:
         if not a["right"] or a["false"]:
-            print(f"{name}: {a['verdict']} {a['named']} {a.get('scores', '')}" + (f" FALSE {a['false']}" if a["false"] else ""))
+            print(
+                f"{name}: {a['case']}: {a['verdict']} {a['named']} {a.get('scores', '')}"
+                + (f" FALSE {a['false']}" if a["false"] else "")
+            )
     for kind, chosen in (("alone", False), ("pairs", True)):
-        mine = [a for _, a in answers if a["case"].startswith("later") == chosen]
+        mine = [a for _, a in answers if ("later" in a["case"]) == chosen]
         print(
             f"{kind}: {sum(a['right'] for a in mine)} of {len(mine)} right, {sum(bool(a['false']) for a in mine)} with a false name"
         )
@@ -201,6 +235,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=300)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--parallel", type=int, default=2)
+    parser.add_argument("--drawn", type=int, default=0, help="so many cases drawn at random instead")
     parser.add_argument("--only", default="", help="cases whose name begins so, comma-separated")
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -210,6 +245,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             (arm, case.name, args.seed + 7 * k, args.out)
             for k, case in enumerate(CASES) for arm in (args.arms[k % len(args.arms)],) if case.name.startswith(only)
         ]  # fmt: skip
+        if args.drawn:
+            jobs = [(args.arms[k % len(args.arms)], "drawn", args.seed + 7 * k, args.out) for k in range(args.drawn)]
         with ProcessPoolExecutor(args.parallel) as pool:
             for line in pool.map(one, jobs):
                 print(line, flush=True)

@@ -111,6 +111,15 @@ def test_saturation(tmp_path: Path, trials: tuple[Recording, ...], signal: str, 
     assert "saturated" not in kinds(i, "base")
 
 
+def test_a_derived_speed_that_stays_clips_nothing(tmp_path: Path) -> None:
+    """A joint that moves evenly, as programs make them: its differences of angles are one number."""
+    q = np.cumsum(np.repeat([0.0, 0.9, 0.0, -0.9, 0.0], 60)) / 100.0
+    table = np.column_stack([np.arange(len(q)) / 100.0, q, np.sin(np.arange(len(q)))])
+    np.savetxt(tmp_path / "even.csv", table, "%.17g", ",", header="t,q_a,tau_a", comments="")
+    found = inspect_recordings([tmp_path / "even.csv"], None)[0]
+    assert "derived" in str(found.offers) and "saturated" not in {f.kind for f in found.findings}
+
+
 @pytest.mark.parametrize(
     ("factor", "kind", "word"),
     [

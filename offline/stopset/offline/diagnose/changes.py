@@ -56,7 +56,7 @@ class Change:
 
     @property
     def says(self) -> str:
-        where = f" of {self.joint}" if self.joint else ""
+        where = f" of {self.joint}" if self.joint else " of all joints" if get(self.effect).scope == "joint" else ""
         part = get(self.effect).part
         what = PARTS[part] if part else f"{self.symbol} of {self.effect}"
         when = f"from {self.since} on" if self.since else "before the first of these recordings"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from stopset.artifact import Model
-from stopset.effects import Fitted
+from stopset.effects import Fitted, get
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.changes import Change, changes
@@ -121,7 +121,7 @@ def diagnose_model(
     if q.known is None:
         return found, q.against
     progress("what changed since identification")
-    changed = changes(model, [r for r in q.recordings if moves(r)])
+    changed = [c for c in changes(model, [r for r in q.recordings if moves(r)]) if get(c.effect).scope != "arm"]
     return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
 
 
@@ -186,7 +186,7 @@ def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
     """
     unknown = verdict == "unknown"
     sound = [] if unknown else [k for k, r in enumerate(x.ranked) if not r.objection]
-    error = x.steps(sound)[-1].after if sound else x.found.before
+    error = (x.steps(sound)[-1].after if sound else x.found.before).whole
     out = []
     for j, joint in enumerate(x.engine.data.joints):
         here = [r for r in x.ranked if joint in (r.joints or x.engine.data.joints[:1])]

@@ -55,7 +55,7 @@ def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> 
         beside = (*q.fitted, *(e.fitted for e in out))
         alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], known=q.known, progress=progress)
         out += _of(alone, [(name, _claims(alone, name))])
-    return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before, judged_on(x.engine))
+    return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before.whole, judged_on(x.engine))
 
 
 def _claims(x: Examination, name: str) -> tuple[int, ...]:
@@ -66,4 +66,4 @@ def _claims(x: Examination, name: str) -> tuple[int, ...]:
 def _of(x: Examination, wanted: Sequence[tuple[str, tuple[int, ...]]]) -> list[Estimate]:
     order = list(dict.fromkeys(k for _, claims in wanted for k in claims))
     by = {k: name for name, claims in reversed(wanted) for k in claims}
-    return [Estimate(by[k], x.ranked[k], s.before, s.after) for k, s in zip(order, x.steps(order), strict=True)]
+    return [Estimate(by[k], x.ranked[k], *s.stated) for k, s in zip(order, x.steps(order), strict=True)]

@@ -25,6 +25,8 @@ from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
+INNER = " These errors are within the motions, whatever scale their friction has: how it scatters between them hides what this explains."
+
 
 @dataclass(frozen=True, slots=True)
 class Examination:
@@ -139,11 +141,11 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         given = dict(fitted if objections[k] else of_a_body(c.effect, fitted))
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         surplus = bool(why) and not objections[k]
+        words = says(c.effect, fitted, given, described=not engine.modelled)
         out.append(
             Ranked(
-                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.before[taken.joint]),
-                float(taken.after[taken.joint]), given, c.effect.look_at,
-                says(c.effect, fitted, given, described=not engine.modelled),
+                c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
+                float(taken.stated[1][taken.joint]), given, c.effect.look_at, words + (INNER if taken.inner else ""),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus,
             )
         )  # fmt: skip

@@ -90,9 +90,9 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array, moving: NDArray
     tip = np.ascontiguousarray(regressors(model.robot.chain, q, dq, ddq)[:, :, -10:][:, :, :4])
     out += _own(model, q, dq, ddq, rubs)
     load = tuple(_said_of(body, term=k) for k in range(4))
-    out.append(
-        LevelChange(None, tip, np.concatenate(rubs, axis=2), load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3]))
-    )
+    friction = np.concatenate(rubs, axis=2)
+    out.append(LevelChange(None, tip, friction, load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3])))
+    out.append(LevelChange(None, rigid[:, :, None], friction, (_said_of(scale),), np.zeros(1), np.array([limit.LEAST_GAIN])))
     return out
 
 

@@ -25,7 +25,7 @@ from stopset.offline.diagnose.evidence.baseline import DESCRIBED, baseline, sett
 from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.rows.sampling import in_step
 from stopset.offline.diagnose.standing import moves
-from stopset.offline.inspect.gate import check_one_state, check_torque
+from stopset.offline.inspect.gate import check_one_state, check_torque, check_unit
 from stopset.offline.nominal.delay import estimate_delay, lag_in_words, own_clock
 from stopset.offline.nominal.low_pass import a_minute, in_words, recorded_low_pass
 from stopset.offline.nominal.nominal import lag_entry
@@ -93,6 +93,7 @@ def _lag_of(robot: Robot, recordings: Recordings, usual: Lags) -> tuple[Lags, tu
     """
     pieces = a_minute(recordings.trials)
     data = accumulate(robot, pieces, usual_friction())
+    check_unit(robot, recordings.meta, data)
     found = estimate_delay(data, prior_of(robot))
     value, std = sum(float(x["value"]) for x in usual), float(np.hypot.reduce([float(x["std"]) for x in usual])) if usual else 0.0
     expected = replace(found, common=value, common_std=std, beyond=0.0)

@@ -35,8 +35,11 @@ def _coarse(t: SignalSums) -> NDArray[np.bool_]:
     return np.asarray(t.moved & (t.levels > 1) & (t.levels < FEWEST_LEVELS))
 
 
-def saturation(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
-    """Signals that stop at one value for many samples, and torque of too few digits for that to be told."""
+def saturation(t: SignalSums, joints: Sequence[str], meta: Meta) -> list[Finding]:
+    """Signals that stop at one value for many samples, and torque of too few digits for that to be told.
+
+    A derived velocity that stays at one value clips nothing: the arm moves evenly.
+    """
     coarse = _coarse(t)
     out = [
         Finding("coarse_torque", "warning", joints[j], f"the torque takes {int(t.levels[j])} sizes only", f"{FEWEST_LEVELS} or more",
@@ -49,7 +52,7 @@ def saturation(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
         at.setdefault((name, j, float(f"{value:.5g}")), []).append(run)
     seen: dict[tuple[str, int], tuple[float, int]] = {}
     for (name, j, value), runs in at.items():
-        if name == "tau" and coarse[j]:
+        if (name == "tau" and coarse[j]) or (name == "dq" and meta.velocity == "derived"):
             continue
         if name not in top or value >= 0.999 * top[name][j] or len(runs) >= SAME:
             old = seen.get((name, j), (0.0, 0))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
-from stopset.effects.selection import usual_friction
+from stopset.effects.selection import of_part, usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
 from stopset.offline.inspect.finding import Finding
@@ -34,6 +34,7 @@ from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Meta, Recording
 from stopset.robot import Robot
 
+SURE_SCALE = 0.1  # relative error of a torque's scale that tells something
 LOOKED_AT = 64  # trials: what is wrong here is wrong in all of them
 
 
@@ -55,7 +56,7 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     _refuse(f for f in pace if f.kind in ("slow_rate", "pauses"))
     beyond = torque_limits(tally, robot.joints, robot.torque_limit)
     # a wrong unit is told best by the rigid body: of motor torque when that is fitted, see `check_torque`
-    found = [*pace, *speeds, *saturation(tally, robot.joints), *beyond]
+    found = [*pace, *speeds, *saturation(tally, robot.joints, meta), *beyond]
     if meta.effort == "compensated_torque":
         for r in some:
             momentum.add(r)
@@ -94,6 +95,22 @@ def check_torque(robot: Robot, meta: Meta, data: NormalEquations, lag: Delay) ->
     # other laws of friction, perhaps through a filter: `stopset inspect` need not have found the same
     strange = against_model(robot, meta, scale, std, RIGHT)
     return tuple(f"seen beside the fitted friction ({f.severity}): {f.says}" for f in strange if f.severity != "note")
+
+
+def check_unit(robot: Robot, meta: Meta, data: NormalEquations) -> None:
+    """Torque far too small for the arm that a model knows, at several joints or by more than a drive's scale can be off: of another unit.
+
+    A load makes it larger at will, but nothing smaller than that of the bare arm.  Raises `RecordingError`.
+    """
+    scale, std = torque_scales(robot, data)
+    small = [j for j in range(robot.n) if std[j] < SURE_SCALE * abs(scale[j]) and abs(scale[j]) < RIGHT[0]]
+    least = 1.0 + of_part("torque scale").terms[0].lo
+    if len(small) > 1 or any(abs(scale[j]) < least for j in small):
+        seen = ", ".join(f"{robot.joints[j]} {scale[j]:.3g}" for j in small)
+        raise RecordingError(
+            f"nothing is named from these recordings: their torque over what the identified arm needs is {seen}; expected about 1 N m "
+            "per N m on the link side: convert tau if it is in per cent, ampere or of the motor's side"
+        )
 
 
 def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed: bool) -> tuple[str, ...]:

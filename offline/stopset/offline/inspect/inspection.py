@@ -186,7 +186,7 @@ def _findings(
     stamps = clock(t, meta, dq_sound=all(f.kind in ("velocity_derived", "clock_scale", "dq_scale") for f in speeds))
     if any(f.kind == "dropped_samples" for f in stamps):  # stamps made up for fewer samples run slow by that alone
         speeds = [f for f in speeds if f.kind != "clock_scale"]
-    out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints)]
+    out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints, meta)]
     if t.trials == 0:
         return out
     if not any(f.severity == "error" for f in out):  # stamps and readings that are wrong tear speeds apart

@@ -18,6 +18,7 @@ from stopset.types import Array
 
 MARGIN = 1e-7  # smallest eigenvalue kept, relative to the largest of the CAD's pseudo-inertia
 SMALL = 0.01  # [m] no link counts as smaller, were it described as a point
+FAR = 1e6  # distance from the free solution, in roots of what is minimised, beyond which a limit cannot decide and only spoils the scale
 FEASIBLE, NEAR = 1e-8, 1e-3  # residuals of limits and of slopes that a search which stops early may leave
 _UPPER = [(i, k) for k in range(4) for i in range(k + 1)]
 
@@ -54,7 +55,11 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
     """
     n, p = len(reference), len(b)
     d = 1 / np.sqrt(np.diag(H))  # unit curvature in every parameter
+    L = np.linalg.cholesky(d[:, None] * H * d)
+    free, steps = np.linalg.solve(H, b) / d, np.linalg.inv(L).T
     rows, rhs = _limits(A * d, lower, upper)
+    near = rhs - rows @ free < FAR * np.linalg.norm(rows @ steps, axis=1)
+    (rows, far), (rhs, out_of_reach) = (rows[near], rows[~near]), (rhs[near], rhs[~near])
     cones: list[Any] = [clarabel.NonnegativeConeT(len(rhs))] if len(rhs) else []
     G = np.zeros((len(rhs) + n * len(_UPPER), p))
     G[: len(rhs)] = rows
@@ -68,22 +73,20 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     # from the free solution on, in steps that cost alike: what is minimised is then the square of a distance, and zero is its scale
-    L = np.linalg.cholesky(d[:, None] * H * d)
-    free = np.linalg.solve(H, b) / d
-    steps = np.linalg.inv(L).T
     found = clarabel.DefaultSolver(
         csc_matrix(np.eye(p)), np.zeros(p), csc_matrix(G @ steps), h - G @ free, cones, settings
     ).solve()
     # a search that stops early has bodies all the same; how near they are is what its slopes leave (torque in another unit does it)
     early = str(found.status) == "InsufficientProgress" and found.r_prim < FEASIBLE and found.r_dual < NEAR
-    if not early and str(found.status) not in ("Solved", "AlmostSolved"):
+    x = free + steps @ np.array(found.x)
+    if not (early or str(found.status) in ("Solved", "AlmostSolved")) or bool(np.any(far @ x > out_of_reach)):
         none = "no link parameters are physically possible and meet every limit at once"
         unsure = "the search for physically possible link parameters did not come to an end"
         raise NotConformant(
             f"{none if str(found.status).endswith('PrimalInfeasible') else unsure}; expected the CAD to be near: check the URDF's "
             "masses and inertias, and the torque's unit with `stopset inspect --robot`"
         )
-    theta = np.asarray(d * (free + steps @ np.array(found.x)))
+    theta = np.asarray(d * x)
     theta[: 10 * n] = _repaired(theta[: 10 * n].reshape(n, 10), reference).ravel()
     return theta
 

@@ -179,17 +179,18 @@ def by_evidence(
     taken = (*retained, *(e.fitted for e in found))
     simulated = [dict(first)] if first else [judge.simulated(settings, retained)]
     simulated.append(judge.simulated(more, taken) if found else simulated[0])
-    rows = [found[0].before if found else answer.before, *(e.after for e in found)]
-    errors = [_with_torque(simulated[min(k, 1)], joints, row) for k, row in enumerate(rows)]
+    start = _with_torque(simulated[0], joints, answer.before)
+    before = [_with_torque(simulated[min(k, 1)], joints, e.before) for k, e in enumerate(found)]
+    after = [_with_torque(simulated[1], joints, e.after) for e in found]
     judged = []
     for name in names:
         mine = [k for k, e in enumerate(found) if e.name == name]
         if not mine:
-            judged.append(Judged(name, errors[0], errors[0], helps=False, enters="", why=NO_TRACE))
+            judged.append(Judged(name, start, start, helps=False, enters="", why=NO_TRACE))
             continue
         enters = entry(get(name.partition(":")[0]))
-        judged.append(Judged(name, errors[mine[0]], errors[mine[-1] + 1], helps=True, enters=enters))
-    return Judgement(tuple(judged), errors[0], more, taken, answer.words)
+        judged.append(Judged(name, before[mine[0]], after[mine[-1]], helps=True, enters=enters))
+    return Judgement(tuple(judged), start, more, taken, answer.words)
 
 
 def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:

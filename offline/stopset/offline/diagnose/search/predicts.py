@@ -10,29 +10,38 @@ import numpy as np
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One claim more: held-out torque error (n,) [N m] ``before`` and ``after``, why that is too little, empty where it is not, and at which
-    joints it acts, empty for the whole arm."""
+    """One claim more: held-out torque error ``before`` and ``after``, why that is too little, empty where it is not, and at which
+    joints it acts, empty for the whole arm; ``inner``: it is within motions that it shows, not in the whole error."""
 
-    before: Array
-    after: Array
+    before: HeldOut
+    after: HeldOut
     why: str
     joints: tuple[int, ...] = ()
+    inner: bool = False
+
+    @property
+    def stated(self) -> tuple[Array, Array]:
+        """(n,) [N m] each: the errors before and after, at its joints those in which it shows."""
+        here = np.isin(np.arange(len(self.before.whole)), self.joints) | (not self.joints)
+        before, after = (np.where(here & self.inner, x.within, x.whole) for x in (self.before, self.after))
+        return before, after
 
     @property
     def joint(self) -> int:
-        """Where, of these, it takes most away."""
-        where = list(self.joints) or list(range(len(self.before)))
-        return where[int(np.argmax((self.before - self.after)[where]))]
+        """Where, of its joints, it takes most away."""
+        before, after = self.stated
+        where = list(self.joints) or list(range(len(before)))
+        return where[int(np.argmax((before - after)[where]))]
 
 
 def step(
-    now: Hypothesis, candidate: Candidate, before: Array, hyper: Hyper, earlier: Sequence[Candidate], left: Sequence[float] = ()
+    now: Hypothesis, candidate: Candidate, before: HeldOut, hyper: Hyper, earlier: Sequence[Candidate], left: Sequence[float] = ()
 ) -> Step:
     """What ``candidate`` takes off the error ``before`` of ``now``, which has the ``earlier`` claims.
 
@@ -42,7 +51,7 @@ def step(
 
 
 def judged(
-    now: Hypothesis, candidate: Candidate, before: Array, after: Array, hyper: Hyper, earlier: Sequence[Candidate],
+    now: Hypothesis, candidate: Candidate, before: HeldOut, after: HeldOut, hyper: Hyper, earlier: Sequence[Candidate],
     left: Sequence[float] = (),
 ) -> Step:  # fmt: skip
     """`step` where the error ``after`` is known.
@@ -53,20 +62,41 @@ def judged(
     joint keeps more than its noise, a second one of its kind, as two of them share what one description is off by (half a degree of tilt beside
     a load), and one of a single joint: what else that joint keeps looks like a scale or a rotor, and no other joint speaks against it.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
+    What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
+    too, it must stand out.
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
-    where = list(candidate.joints) or list(range(len(before)))
-    share = 1.0 - after[where] / before[where]
-    keeps = bool(left) and left[where[int(np.argmax(share))]] > limit.QUIET
-    doubtful = keeps and (bool(candidate.joints) or any(c.effect.absorbed for c in earlier))
+    inner = Step(before, after, "", candidate.joints, inner=True)
+    whole = replace(inner, inner=False)
+    doubtful = _keeps_more(whole, left) and (bool(candidate.joints) or any(c.effect.absorbed for c in earlier))
     if candidate.effect.absorbed and not (doubtful or (earlier and now.engine.modelled)):
-        return Step(before, after, "", candidate.joints)
-    lowered, expected, beside = float(np.max(share)), _least(candidate, earlier), ""
+        return whole
+    whole = replace(whole, why=_too_little(whole, candidate, earlier, left))
+    hidden = whole.why and candidate.effect.role == "friction"
+    return inner if hidden and not _too_little(inner, candidate, earlier, left) else whole
+
+
+def _lowered(x: Step) -> tuple[int, float]:
+    """At which of its joints the largest share of the error goes, and that share."""
+    where = list(x.joints) or list(range(len(x.stated[0])))
+    share = 1.0 - x.stated[1][where] / x.stated[0][where]
+    return where[int(np.argmax(share))], float(np.max(share))
+
+
+def _keeps_more(x: Step, left: Sequence[float]) -> bool:
+    """Whether that joint keeps more than its noise whatever is claimed."""
+    return len(left) > 0 and left[_lowered(x)[0]] > limit.QUIET
+
+
+def _too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
+    """Why an error falls too little, empty where it does not."""
+    lowered, expected, beside = _lowered(x)[1], _least(candidate, earlier), ""
+    keeps = x.inner or _keeps_more(x, left)
     if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
     why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"
-    return Step(before, after, "" if lowered > expected else why, candidate.joints)
+    return "" if lowered > expected else why
 
 
 def _least(candidate: Candidate, earlier: Sequence[Candidate]) -> float:

@@ -14,7 +14,7 @@ from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new, scores
-from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
@@ -48,7 +48,7 @@ class Found:
     now: Hypothesis
     hyper: Hyper
     excess: tuple[float, ...]
-    before: Array  # (n,) held-out error [N m] of the model without the claims
+    before: HeldOut  # of the model without the claims
 
 
 def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Progress = silent) -> Found:
