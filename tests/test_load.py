@@ -14,6 +14,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.load import nearest_body, of_a_body, says
+from stopset.offline.diagnose.search.held_out import HeldOut
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.search import Claim, _foremost_first
 from stopset.offline.nominal.physical import pseudo_inertia
@@ -70,12 +71,17 @@ def test_how_far_an_inertia_was_moved_counts_to_its_error() -> None:
     assert stated["m"] == fitted["m"] and stated["mz"] == fitted["mz"]
     moved = stated["Izz"].value - fitted["Izz"].value
     assert moved > 0.15 and stated["Izz"].std == pytest.approx(np.hypot(0.02, moved))
-    words = says(payload, fitted, stated, described=False)
+    words = says(payload, fitted, stated, described=False, lowered=0.5)
     assert "2.93 kg (95 %: 2.89 to 2.97 kg)" in words and "is no body's" in words and "description alone" not in words
-    assert "is no body's" not in says(payload, stated, stated, described=False)
+    assert "is no body's" not in says(payload, stated, stated, described=False, lowered=0.5)
+    alone = says(
+        payload, stated, stated, described=True, lowered=0.007
+    )  # a user asked what a load is that takes nothing off the error
+    assert "masses, fitted again, carry it as well" in alone and "description alone" in alone
+    assert "carry it" not in says(payload, stated, stated, described=True, lowered=0.5)
     spring = get("spring")
     one = {"k": Parameter(3.0, "N m/rad", 0.1)}
-    assert of_a_body(spring, one) is one and says(spring, one, one, described=False) == spring.says
+    assert of_a_body(spring, one) is one and says(spring, one, one, described=False, lowered=0.5) == spring.says
 
 
 def test_which_of_two_effects_that_masses_imitate_is_the_cause_does_not_hang_on_which_was_found_first() -> None:
@@ -94,7 +100,8 @@ def test_which_of_two_effects_that_masses_imitate_is_the_cause_does_not_hang_on_
     before = np.array([0.3, 0.1])
 
     def claimed(c: Candidate, share: float, earlier: Candidate, left: float) -> bool:
-        return not judged(now, c, before, before * (1.0 - share), hyper, [earlier], (left, left)).why
+        after = before * (1.0 - share)
+        return not judged(now, c, HeldOut(before, before), HeldOut(after, after), hyper, [earlier], (left, left)).why
 
     # where a joint keeps more than its noise the second one must stand out: both may be one error of the description
     assert not claimed(tilt, 0.026, load, 20.0) and not claimed(load, 0.026, tilt, 20.0) and claimed(tilt, 0.15, load, 20.0)

@@ -65,7 +65,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.columns.laws", "RIGID", ROLES),
     ("stopset.offline.diagnose.compensated", "CARRIED", CODES),
     ("stopset.offline.diagnose.diagnose", "SINCE SINGLE", WORDS),
-    ("stopset.offline.diagnose.load", "WEIGHED_ALONE", WORDS),
+    ("stopset.offline.diagnose.load", "CARRIED_BY_LINKS WEIGHED_ALONE", WORDS),
     ("stopset.offline.diagnose.load", "NO_SUCH_BODY", WORDS),
     ("stopset.offline.diagnose.standing", "MOVE USUAL_TORQUE", "of an arm that does not move no model is made"),
     ("stopset.offline.diagnose.evidence.engine", "CACHED RECENT", BUDGET),
