@@ -15,8 +15,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from monitor_arm import known_model
 from nominal_cases import JOINTS, Truth, campaign
 from nominal_cases import arm as three_joints
+from stopset.artifact import save_model
 from stopset.cli.main import DEBUG, DEFECT, FILES, commands, main
 from stopset.errors import NotConformant
 from stopset.offline.campaign.reading_error import ReadingError
@@ -36,6 +38,24 @@ def own_words(text: str) -> None:
     """One sentence in three parts, none of it a solver's."""
     assert not SOLVERS.search(text), text
     assert "expected" in text and len(text) > 40
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("words", ["--help", "--version", "history --help", "history MODEL", "stops MODEL"])
+def test_an_answer_that_finds_no_room_is_no_defect(words: str, tmp_path: Path) -> None:
+    """Standard output on a full disk: 70 before, or a traceback, or for help 0 and nothing said."""
+    save_model(known_model(), tmp_path / "arm.model.json")
+    command = [sys.executable, "-m", "stopset.cli.main", *words.replace("MODEL", str(tmp_path / "arm.model.json")).split()]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "COLUMNS": "400"},
+        )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("stopset: ") == 1 and "No space left on device" in done.stderr and "expected room" in done.stderr
 
 
 @pytest.mark.parametrize("command", commands())

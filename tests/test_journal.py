@@ -127,6 +127,19 @@ def test_power_lost_at_any_moment_leaves_latch_reason_and_count() -> None:
             assert again.latched or again.count == 0
 
 
+def test_of_more_counts_than_there_is_room_for_the_sum_is_kept(tmp_path: Path) -> None:
+    """Sixteen joints on both sides are 64 and their sum; none was written, and a kill took the last second's."""
+    journal = Journal(FileStore(tmp_path / "latch", Record()))
+    journal.read()
+    journal.count([7000, *range(64)])
+    assert not journal.trouble
+    journal.close()
+    again = Journal(FileStore(tmp_path / "latch", Record()))
+    again.read()
+    assert again.counted()[0] == 7000
+    again.close()
+
+
 def test_a_reset_forgets_the_counts_too(tmp_path: Path) -> None:
     path = tmp_path / "arm.latch"
     latch = Latch(Journal(FileStore(path, Record())))

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from monitor_arm import NOISE, known_model
-from stopset.artifact import Model
+from patience import wait
+from stopset.artifact import Model, save_model
 from stopset.effects.base import Fitted
-from stopset.monitor.config import Plane, StopLimits
+from stopset.monitor.config import Bus, Config, Plane, StopLimits
 from stopset.monitor.margins import ends
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.sample import Quantum, Sample
-from stopset.monitor.stopworker import PreparedStops
+from stopset.monitor.stopworker import numbers_of
+from stopset.reach.stops import StopBounds
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -49,15 +55,36 @@ def true_poses(model: Model, q: Array, count: int, rng: np.random.Generator) -> 
     return out
 
 
+def test_advice_of_a_process_that_hangs_is_none(tmp_path: Path) -> None:
+    """The last one was told for ever, as if it were of now."""
+    model = save_model(known_model(), tmp_path / "arm.model.json")
+    limits = StopLimits("0", override=True, override_every_s=0.2)
+    config = Config(str(tmp_path / "arm.model.json"), Bus("hub:1"), data_id=7, limits=limits)
+    still, remaining = np.zeros(6), Remaining.of(config, model)
+    stops = {"0": numbers_of(StopBounds.of(model, fast=True).bound(still, still), 6)}
+
+    def advice() -> object:
+        remaining.measure(time.monotonic(), Sample(0, time.time(), still, still), stops, Quantum.none(6))
+        return remaining.override
+
+    try:
+        assert wait(lambda: advice() is not None, 60.0)
+        assert remaining.advisor is not None
+        os.kill(remaining.advisor._process.pid, signal.SIGSTOP)
+        assert wait(lambda: advice() is None, 20.0)
+    finally:
+        remaining.close()
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_margins_hold_for_every_true_pose_behind_a_reading(name: str) -> None:
     """1,500 poses of a still arm and the joints' worst travel: nothing comes nearer to the floor and the joints' limits than was told."""
     model, rng = CASES[name], np.random.default_rng(3)
     robot, n, limits = model.robot, model.n, StopLimits("0", planes=(FLOOR,))
-    stops, remaining = PreparedStops.of(model, None, None), Remaining(model, limits, None)
+    stops, remaining = StopBounds.of(model, fast=True), Remaining(model, limits, None)
     for k in range(30):
         q, still = rng.uniform(-1.5, 1.5, n), np.zeros(n)
-        numbers = stops.numbers("0", q, still, still, still)
+        numbers = numbers_of(stops.bound(q, still, "0", still, still), n)
         assert numbers.proven, numbers.why
         sample = Sample(k, 0.01 * k, q, still, still)
         remaining.measure(0.0, sample, {"0": numbers}, Quantum.none(n))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -15,27 +16,47 @@ from monitor_arm import known_model
 from monitor_process import environment
 from patience import wait
 from stopset.artifact import save_model
+from stopset.monitor import stopdesk
 from stopset.monitor.config import Stops
 from stopset.monitor.realtime import GOT, claim
 from stopset.monitor.sample import Quantum
 from stopset.monitor.spawned import Spawned
 from stopset.monitor.stopdesk import StopDesk, seen_by
+from stopset.monitor.stopworker import prepare
 
 BEGUN = """
-import sys
+import os, sys
 from stopset.monitor.spawned import Spawned
 
-def begin(cls, load, name):
-    print(name, sorted({"numpy", "zenoh", "stopset.monitor.service"} & set(sys.modules)))
+def begin(cls, load, name, *, copied):
+    threads = len(os.listdir("/proc/self/task")) if os.path.exists("/proc/self/task") else 1
+    print(name, copied, threads, sorted({"stopset.monitor.stopworker", "zenoh", "stopset.monitor.service"} & set(sys.modules)))
     raise SystemExit(0)
 
 Spawned.begin = classmethod(begin)
 from stopset.cli.main import main
 main(["monitor", "--config", sys.argv[1]])
 """
-LOADED = (
-    'import sys, stopset.cli.main, stopset.monitor.service; print(sorted({"pyarrow", "stopset.reach.stops"} & set(sys.modules)))'
-)
+LOADED = "import sys, stopset.cli.main, stopset.monitor.service; print(sorted({'pyarrow', 'scipy'} & set(sys.modules)))"
+
+
+REFUSED = """
+import resource, time
+from pathlib import Path
+from stopset.monitor.opening import Opening
+
+opening, size = Opening(lambda: "a source"), int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (size + 500_000, resource.RLIM_INFINITY))
+try:
+    print(opening.turn())
+except RuntimeError as e:
+    resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    print(e)
+end = time.monotonic() + 5.0
+while (source := opening.turn()) is None and time.monotonic() < end:
+    time.sleep(0.01)
+print(source)
+"""
 
 
 def said_by(code: str, *words: str) -> str:
@@ -45,12 +66,12 @@ def said_by(code: str, *words: str) -> str:
     ).stdout
 
 
-def test_what_bounds_stops_begins_to_load_before_the_daemon_does(tmp_path: Path) -> None:
+def test_what_bounds_stops_is_copied_with_what_it_needs_before_there_are_threads(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text('model = "m.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n')
-    assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == "stop-bounds []"
+    assert said_by(BEGUN, str(tmp_path / "c.toml")).split("\n")[-2] == "stop-bounds True 1 ['stopset.monitor.stopworker']"
 
 
-def test_the_daemon_loads_nothing_that_only_recordings_or_proofs_need() -> None:
+def test_the_daemon_loads_nothing_that_only_recordings_need() -> None:
     assert said_by(LOADED).strip() == "[]"
 
 
@@ -68,6 +89,36 @@ def test_a_desk_takes_the_process_that_was_begun_and_another_when_that_ends(tmp_
         begun.process.kill()
         assert wait(lambda: bounded() and desk.restarts == 1 and desk._ready, 60.0)
         assert desk._process is not begun.process and desk._process.is_alive()
+    finally:
+        desk.close()
+
+
+def test_a_model_file_that_was_cut_is_told_as_that(tmp_path: Path) -> None:
+    """By whom bounds stops and was begun anew meanwhile: it ended over it, and after five times for good."""
+    path = tmp_path / "m.model.json"
+    save_model(known_model(), path)
+    path.write_bytes(path.read_bytes()[:5000])
+    prepared, why = prepare(str(path), None, Stops(("0",)), "ab" * 32)
+    assert prepared is None and "is damaged" in why
+
+
+def test_a_process_that_hangs_is_ended_and_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was waited for for ever: no stop was bounded again."""
+    model = save_model(known_model(), tmp_path / "m.model.json")
+    begun, x = Spawned.bounding_stops(), np.zeros(6)
+    desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
+
+    def bounded() -> bool:
+        desk.offer(time.monotonic(), x, 0.0 * x)
+        return desk.now(x, 0.0 * x)[1]
+
+    try:
+        assert wait(bounded, 60.0)
+        os.kill(begun.process.pid, signal.SIGSTOP)
+        monkeypatch.setattr(stopdesk, "HUNG", 3.0)
+        x = x + 0.7  # where nothing that is kept holds
+        assert wait(lambda: bounded() and desk.restarts >= 1, 60.0)
+        assert desk._process is not begun.process
     finally:
         desk.close()
 
@@ -107,3 +158,9 @@ def test_it_goes_to_the_cores_that_the_loop_is_given() -> None:
         os.sched_setaffinity(0, all_cores)
         begun.process.kill()
         begun.process.join()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of a running process")
+def test_a_bus_is_opened_again_though_the_machine_refused_a_thread() -> None:
+    """It was waited for the thread that had never begun, for ever."""
+    assert said_by(REFUSED).split("\n")[:2] == ["can't start new thread", "a source"]

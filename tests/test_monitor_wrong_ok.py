@@ -6,9 +6,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import os
 import shutil
 import signal
 import socket
+import sys
 import threading
 import time
 from collections import deque
@@ -46,7 +48,7 @@ from stopset.monitor.layout import LENGTH, Flag, State, unpack
 from stopset.monitor.links.hub import Hub
 from stopset.monitor.links.zenoh_link import ZenohLink
 from stopset.monitor.profile import load_profile
-from stopset.recording import write_recordings
+from stopset.recording import Recording, write_recordings
 
 WATCHDOG = 400  # [ms] a machine shared with everything else
 GOOD = {State.OK, State.DEGRADED}
@@ -220,13 +222,14 @@ RUBBISH = [
 ]  # fmt: skip
 
 
-def joint_state(k: int, stamp_ns: int, seed: int = 0) -> bytes:
-    r = RUN[seed]
-    k %= len(r.t)
+SHORT = motion(0, 1500)
+
+
+def joint_state(k: int, stamp_ns: int, run: Recording = SHORT) -> bytes:
+    r, k = run, k % len(run.t)
     return to_json(JointState(stamp_ns, JOINTS, tuple(r.q[k]), tuple(r.dq[k]), tuple(r.tau[k])))
 
 
-RUN = [motion(0, 1500)]
 JOINTS = known_model().joints
 
 
@@ -310,6 +313,42 @@ def test_a_bus_of_another_cycle_than_the_model_s_is_no_ok_and_said(cell: Cell, t
         assert not GOOD & set(ear.states[begun:]), "no OK on it"
 
 
+def test_of_two_senders_of_joint_states_none_is_believed(tmp_path: Path) -> None:
+    """A simulation left running beside the arm, or two arms on one key: the one whose stamps are a little older was left out, message
+    by message, and OK was said of the other."""
+    save_model(known_model(), tmp_path / "arm.model.json")
+    port = free_port()
+    source = f'[joint_states]\nkey = "js"\ncycle_s = 0.004\n{STOPS}'
+    config = write_config(tmp_path, tmp_path / "arm.model.json", source, port, publish=PUBLISH)
+    with running("monitor", "--config", str(config)), Ear(port) as ear, contextlib.ExitStack() as stack:
+        other = ZenohLink(PREFIX, mode="client", connect=[f"tcp/127.0.0.1:{port}"])
+        stack.callback(other.close)
+        simulation, arm, run = ear.link.fast("/js"), other.fast("/js"), motion(0, 60_000)
+        both, sending = threading.Event(), threading.Event()
+
+        def sender() -> None:
+            begin, k = time.time_ns(), 0
+            while not sending.wait(max(0.0, (begin + 4_000_000 * k - time.time_ns()) * 1e-9)):
+                simulation(joint_state(k, begin + 4_000_000 * k, run))
+                if both.is_set():
+                    time.sleep(0.001)
+                    arm(joint_state(k, begin + 4_000_000 * k - 2_000_000, run))  # where it moves otherwise nobody gets to see
+                k += 1
+
+        thread = threading.Thread(target=sender)
+        stack.callback(thread.join)
+        stack.callback(sending.set)
+        thread.start()
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0), {t["why"] for t in ear.twins}
+        both.set()
+        assert ear.wait(lambda: "two senders" in ear.twins[-1]["why"], 20.0), {t["why"] for t in ear.twins[-20:]}
+        begun = len(ear.raw)
+        rest(2.0)
+        assert not GOOD & set(ear.states[begun:]), "which arm is OK nobody can tell"
+        both.clear()
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0), "one of them has ended"
+
+
 def hear_once(ear: Ear, name: str) -> bytes:
     got: list[bytes] = []
     ear.link.subscribe(name, lambda _, d: got.append(d))
@@ -341,6 +380,34 @@ def test_a_flooded_bus_and_stamps_that_are_no_numbers_are_no_ok_and_no_silence(c
         assert max(granted.between(a, b) for a, b in itertools.pairwise(made)) < 1.0
         assert monitor.poll() is None and not GOOD & set(ear.states)
     hub.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of a running process")
+@pytest.mark.parametrize("lacking", ["file descriptors", "memory"])
+def test_a_machine_that_gives_nothing_more_does_not_end_the_monitor(cell: Cell, lacking: str) -> None:
+    """Whoever filled its shared memory, or left it no descriptor, ended it: zenoh's Rust panics then, which is no `Exception`."""
+    import resource
+
+    with cell.replay(), cell.daemon() as monitor, Ear(cell.port) as ear:
+        proc = Path(f"/proc/{monitor.pid}")
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0)
+        if lacking == "memory":
+            (words,) = [w.split() for w in (proc / "status").read_text().splitlines() if w.startswith("VmSize")]
+            resource.prlimit(monitor.pid, resource.RLIMIT_AS, (1024 * int(words[1]) + 100_000, resource.RLIM_INFINITY))
+        else:
+            resource.prlimit(monitor.pid, resource.RLIMIT_NOFILE, (len(list((proc / "fd").iterdir())), 4096))
+        begun = len(ear.raw)
+        monitor.send_signal(signal.SIGHUP)  # which a thread is to see to
+        for child in (proc / f"task/{monitor.pid}/children").read_text().split():
+            os.kill(int(child), signal.SIGKILL)  # what bounds stops, to be begun anew
+        assert ear.wait(lambda: len(ear.raw) > begun + 500, 40.0) and monitor.poll() is None, "it goes on"
+        said = {e["kind"] for e in ear.events}
+        assert said & {"fault", "reload_refused"}, "and says what it lacks"
+        resource.prlimit(monitor.pid, resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        resource.prlimit(monitor.pid, resource.RLIMIT_NOFILE, (4096, 4096))
+        monitor.send_signal(signal.SIGHUP)
+        assert ear.wait(lambda: "reloaded" in {e["kind"] for e in ear.events}), "as soon as the machine has what it needs"
+        assert ear.wait(lambda: GOOD & set(ear.states[-5:]), 40.0)
 
 
 # ---- what the consumers believe ---------------------------------------------------------------------------------------

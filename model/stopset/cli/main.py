@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import errno
 import importlib
 import os
 import pkgutil
@@ -10,7 +12,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from stopset import cli
 from stopset.cli.common import broken, check_distinct, complain, open_missing_streams
@@ -23,6 +25,7 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 NOT_COMMANDS = {"main", "common", "steps", "story"}
 FILES = {"import": "import_logs"}  # commands that are keywords of Python, and so no module's name
 DEFECT = 70  # exit code of an error inside stopset (EX_SOFTWARE): no answer, and nothing the caller could mend
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk that takes no more, or is failing
 DEBUG = "STOPSET_DEBUG"  # set to anything: an error inside stopset is shown whole
 FOOTER = "Monitoring aid, not a certified safety function: see the README before you rely on a number."
 
@@ -33,6 +36,11 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         complain(f"{message}; see `{self.prog} --help`")
         self.exit(2)
+
+    def print_help(self, file: Any = None) -> None:
+        """Told, or an error: argparse keeps it to itself where the words cannot be written."""
+        (file or sys.stdout).write(self.format_help())
+        sys.stdout.flush()
 
 
 def commands() -> list[str]:
@@ -64,26 +72,11 @@ def parser_of(command: str) -> Parser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 1 the answer is "no", 2 bad input, `DEFECT`, 130 interrupted."""
     open_missing_streams()
-    words = list(sys.argv[1:] if argv is None else argv)
-    if not words or words[0] in ("-h", "--help", "help"):
-        sys.stdout.write(_overview())
-        return 0
-    if words[0] == "--version":
-        from importlib.metadata import version  # asked for seldom, and slow to load
-
-        sys.stdout.write(f"stopset {version('stopset')}\n")
-        return 0
-    if words[0] not in commands():
-        import difflib  # for a mistake alone
-
-        near = difflib.get_close_matches(words[0], commands(), n=1)
-        like = f"; most like it is {near[0]}" if near else ""
-        complain(f"no command {words[0]!r}; expected one of {', '.join(commands())}{like}")
-        return 2
+    words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     try:
-        args = parser_of(words[0]).parse_args(words[1:])
-        check_distinct(args)
-        return int(_module(words[0]).run(args))
+        code = _answer(words)
+        sys.stdout.flush()
+        return code
     except StopsetError as e:
         complain(" ".join(str(e).split()))
         return 2
@@ -98,6 +91,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _unforeseen(words[0], e)
 
 
+def _answer(words: list[str]) -> int:
+    command, *more = words
+    if command in ("-h", "--help", "help"):
+        sys.stdout.write(_overview())
+        return 0
+    if command == "--version":
+        from importlib.metadata import version  # asked for seldom, and slow to load
+
+        sys.stdout.write(f"stopset {version('stopset')}\n")
+        return 0
+    if command not in commands():
+        import difflib  # for a mistake alone
+
+        near = difflib.get_close_matches(command, commands(), n=1)
+        like = f"; most like it is {near[0]}" if near else ""
+        complain(f"no command {command!r}; expected one of {', '.join(commands())}{like}")
+        return 2
+    args = parser_of(command).parse_args(more)
+    check_distinct(args)
+    return int(_module(command).run(args))
+
+
 def _unforeseen(command: str, e: Exception) -> int:
     """One sentence for an error that is not stopset's own way of saying no, and its exit code."""
     if isinstance(e, ModuleNotFoundError) and (e.name or "").split(".")[0] != "stopset":
@@ -105,6 +120,13 @@ def _unforeseen(command: str, e: Exception) -> int:
         return 2
     if isinstance(e, OSError) and e.filename is not None:
         complain(f"{e.filename}: {e.strerror}; expected a file that may be used: mend its rights or name another")
+        return 2
+    if isinstance(e, OSError) and e.errno in NO_ROOM:
+        with contextlib.suppress(OSError):  # what is left unsaid would be tried again at the end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        complain(
+            f"{command} could not write its answer ({e.strerror}); expected room where it goes: free some or send it elsewhere"
+        )
         return 2
     if isinstance(e, MemoryError):
         complain(f"{command} ran out of memory; expected more of it or less to do: free some or give fewer recordings")

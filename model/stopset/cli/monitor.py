@@ -19,7 +19,9 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.spawned import Spawned
 
     config = load_config(args.config)
-    begun = Spawned.bounding_stops()  # it loads while this process does
+    import stopset.monitor.stopworker  # noqa: F401 - what both processes need, loaded while there is one
+
+    begun = Spawned.bounding_stops(copied=True)
     from stopset.monitor.report import NOTICE
     from stopset.monitor.service import start
 

@@ -139,6 +139,7 @@ class Journal:
 
     def count(self, counts: Sequence[int]) -> None:
         """What has grown since the record was written, at most `MOST_COUNTS` of them: survives this process, not the machine."""
+        counts = counts[:MOST_COUNTS]  # the first is the sum: of joints by the dozen it is what a restart must know
         try:
             body = _COUNTS.pack(self._number, len(counts), *counts, *[0] * (MOST_COUNTS - len(counts)))
             self._store.write_counts(body + hashlib.blake2b(body, digest_size=_DIGEST).digest())

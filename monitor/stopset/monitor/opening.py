@@ -22,8 +22,8 @@ class Opening:
     def turn(self) -> SampleSource | None:
         """Ask for a source, unless that was done; it, or what was raised, once it is there; None before."""
         if not self._opening:
+            threading.Thread(target=self._work, daemon=True, name="opening").start()  # which a machine without memory refuses
             self._opening = True
-            threading.Thread(target=self._work, daemon=True, name="opening").start()
         if self._answers.empty():
             return None
         self._opening, answer = False, self._answers.get_nowait()

@@ -64,7 +64,10 @@ class Reloading:
             except Exception as e:  # noqa: BLE001 - a broken model must not end the watch over the arm
                 self._answers.put(f"{type(e).__name__}: {e}")
 
-        threading.Thread(target=work, daemon=True, name="reload").start()
+        try:
+            threading.Thread(target=work, daemon=True, name="reload").start()
+        except RuntimeError as e:  # the machine has no memory for it
+            self._answers.put(f"the model is not read anew: {e}; the one before is watched with, ask again")
 
 
 def end_beside(*parts: Any) -> None:

@@ -14,6 +14,8 @@ from stopset.monitor.sample import Quantum, Sample
 from stopset.reach.stops.setting import readings_of
 from stopset.sets import Box
 
+OLD = 3  # times as far apart as advice is asked for: older advice is none, who gives it hangs
+
 
 @dataclass(slots=True)
 class Remaining:
@@ -43,7 +45,8 @@ class Remaining:
         self.margins = margins(self.model.robot, self.limits, s.q + self._begins.centre, numbers, quantum.q + self._begins.radius)
         if self.advisor is not None:
             self.advisor.offer(now, s, quantum)
-            if (said := self.advisor.said) is not None:
+            said, oldest = self.advisor.said, OLD * self.limits.override_every_s
+            if said is not None and abs(s.t - said[0]) <= oldest:
                 self.override = {"percent": 100.0 * said[1], "category": self.limits.category, "t_ns": round(said[0] * 1e9)}
             else:
                 self.override = None

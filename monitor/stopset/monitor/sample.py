@@ -16,7 +16,7 @@ class Sample:
     ``k``: cycle number; two samples belong together when their numbers differ by one, anything else is a gap.
     ``t``: sampling instant [s], ``off``: how far behind the place of its cycle that stamp lies [s],
     ``place_error``: how far off that place may be; ``powered``: the drives
-    hold torque (else no verdict: another regime); ``fault``: what the drives themselves say against it, empty if nothing,
+    hold torque (else no verdict: another regime); ``fault``: what drives or their messages say against it, empty if nothing,
     and ``bad_nodes``: bit i set = joint i's.
     """
 

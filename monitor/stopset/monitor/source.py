@@ -20,6 +20,7 @@ from stopset.monitor.links.decoder import Cycle, Decoder
 from stopset.monitor.nodes import Nodes
 from stopset.monitor.profile import SIGNALS, Profile
 from stopset.monitor.sample import Quantum, Sample
+from stopset.monitor.senders import Senders
 from stopset.types import Array
 
 Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
@@ -253,6 +254,7 @@ class JointStateSource:
     missed: int = 0
     dropped: int = 0
     complaint: str = ""
+    _senders: Senders = field(default_factory=Senders)
     _waiting: deque[bytes] = field(init=False)
     _there: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -284,19 +286,23 @@ class JointStateSource:
         with self._lock:
             data = self._waiting.popleft()
         try:
-            return self._sample(decode_joint_state(data))
+            return self._sample(decode_joint_state(data), data)
         except BusError as e:  # the stamp of the next good one shows the gap
             self.refused += 1
             self.complaint = str(e)
             return None
 
-    def _sample(self, s: JointState) -> Sample:
+    def _sample(self, s: JointState, data: bytes) -> Sample:
         q, dq, tau = self._rows(s)
         later = self.cycle_s if self._stamp is None else (s.stamp_ns - self._stamp) * 1e-9
-        if -SWAPPED < later <= 0.0:
+        late = -SWAPPED < later <= 0.0
+        self._senders.take(data, late=late)
+        if late:
             if later:
                 self._cycles.leave_out()
-            raise BusError("joint_states came twice or out of order; the later one counts: look at the sender")
+            raise BusError(
+                self._senders.fault or "joint_states came twice or out of order; the later one counts: look at the sender"
+            )
         found = self._cycles.step(s.stamp_ns)
         if found is None:
             raise BusError("a joint_states stamp lies far from its cycle, or one was lost: left out; look at the sender's clock")
@@ -307,7 +313,8 @@ class JointStateSource:
         self._stamp = s.stamp_ns
 
         # without torque there is no verdict, but there are stop bounds
-        return Sample(self._k, s.stamp_ns * 1e-9, q, dq, tau, off=off, place_error=self._cycles.place_error)
+        fault = self._senders.fault
+        return Sample(self._k, s.stamp_ns * 1e-9, q, dq, tau, fault=fault, off=off, place_error=self._cycles.place_error)
 
     def _rows(self, s: JointState) -> tuple[Array, Array, Array | None]:
         """Positions, speeds and torques (n,) of this arm's joints; raises `BusError` where there are none."""

@@ -1,12 +1,13 @@
 """A process beside the daemon's, which loads all that it will need before anybody knows for which model.
 
-That takes as long as the daemon's own loading. Begun first and assigned later, both are ready at the same time; so nothing is imported
-here that would hold up who begins one.
+Begun first and assigned later, both are ready at the same time; so nothing is imported here that would hold up who begins one. Who has no
+threads yet, and has loaded already what both need, is copied with it, which is for nothing; later ones load it again.
 """
 
 from __future__ import annotations
 
 import multiprocessing as mp
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -23,9 +24,12 @@ class Spawned:
     pipe: Connection
 
     @classmethod
-    def begin(cls, load: Callable[[], Work], name: str) -> Self:
-        """``load``, a function of a module, imports in the other process what its work needs, and gives that."""
-        context = mp.get_context("spawn")
+    def begin(cls, load: Callable[[], Work], name: str, *, copied: bool = False) -> Self:
+        """``load``, a function of a module, imports in the other process what its work needs, and gives that.
+
+        ``copied``: with all that this process has loaded; only before it has any threads.
+        """
+        context: Any = mp.get_context("fork" if copied and sys.platform == "linux" else "spawn")
         mine, theirs = context.Pipe()
         process = context.Process(target=_run, args=(load, theirs), daemon=True, name=name)
         process.start()
@@ -33,9 +37,9 @@ class Spawned:
         return cls(process, mine)
 
     @classmethod
-    def bounding_stops(cls) -> Self:
+    def bounding_stops(cls, *, copied: bool = False) -> Self:
         """The process that bounds stops."""
-        return cls.begin(_stop_bounds, "stop-bounds")
+        return cls.begin(_stop_bounds, "stop-bounds", copied=copied)
 
     def assign(self, *arguments: Any) -> None:
         """Say what it is to work on; once. Raises OSError where it has ended."""

@@ -28,6 +28,7 @@ from stopset.monitor.spawned import Spawned
 from stopset.sets import Box
 from stopset.types import Array
 
+HUNG = 60.0  # [s] without a word while something is asked: an answer takes a second at most, where the machine is busy ten
 RESTARTS = 5  # of the other process, then it stays ended
 TINY = 1e-9  # [rad, rad/s]
 LEFT = "the arm has left the states the last bounds were computed for"
@@ -61,6 +62,7 @@ class StopDesk:
     _inbox: deque[Certificate | str | None] = field(default_factory=deque)
     _ready: bool = False
     _looked: float = float("-inf")
+    _heard: float = 0.0  # [s] when it said something last, or was asked first
     _turn: int = 0
 
     def __post_init__(self) -> None:
@@ -100,7 +102,7 @@ class StopDesk:
         self._process, self._pipe = spawned.process, spawned.pipe
         with contextlib.suppress(OSError):  # it has ended, which its thread is told
             spawned.assign(self.model_path, self.sha256, self.payload, self.stops, self.categories)
-        self._ready = False
+        self._ready, self._heard = False, self.clock.monotonic()
         for c in self.counters.values():
             c.waiting = None
         self._inbox = deque()
@@ -112,6 +114,9 @@ class StopDesk:
         self._motion.see(t, q, dq)
         self._collect()
         now, period = self.clock.monotonic(), 1.0 / self.stops.rate_hz
+        if now - self._heard > HUNG and self._pipe is not None and not (self._ready and self._idle):
+            self._heard = now
+            self._process.kill()  # which is told by its thread, as any end
         if not self._ready or now - self._looked < period / len(self.counters):
             return
         # one category at a time, so that no cycle has to look for all of them
@@ -124,15 +129,21 @@ class StopDesk:
         self._common = None
         wanted = c.lacks(self._motion, self._slack, period)
         if wanted is not None:
+            if self._idle:
+                self._heard = now
             try:
                 self._pipe.send((category, *self._motion.box(*wanted)))
                 c.waiting = wanted[1]
             except (OSError, ValueError):
                 self._lost()
 
+    @property
+    def _idle(self) -> bool:
+        return all(c.waiting is None for c in self.counters.values())
+
     def _collect(self) -> None:
         while self._inbox:
-            answer = self._inbox.popleft()
+            answer, self._heard = self._inbox.popleft(), self.clock.monotonic()
             if answer is None:
                 self._ready = True
             elif isinstance(answer, str):
@@ -201,5 +212,5 @@ def _receive(pipe: Connection, inbox: deque[Certificate | str | None]) -> None:
     try:
         while True:
             inbox.append(pipe.recv())
-    except (EOFError, OSError):
+    except Exception:  # noqa: BLE001 - whatever it was (no memory for an answer, say): a thread that ends without a word is waited for
         inbox.append("ended")

@@ -78,21 +78,26 @@ def asked(pipe: Connection) -> Iterator[Any]:
 
 def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
     """The bounds of a model, with this ``sha256`` if given, with the ramp that is stated; or None and why there are none."""
-    model = load_model(model_path)
-    ramp = None
+    try:
+        return _prepared(model_path, payload, stops, sha256), ""
+    except (
+        StopsetError
+    ) as e:  # a payload that the model does not cover, a file that is gone: consumers must hear it from every message
+        return None, str(e)
+
+
+def _prepared(model_path: str, payload: Masses | None, stops: Stops, sha256: str) -> StopBounds:
+    model, ramp = load_model(model_path), None
     if stops.ramp_time_s or stops.ramp_deceleration:
         ramp = Ramp.stated(
             model.n, time=stops.ramp_time_s or None, deceleration=stops.ramp_deceleration or None, control=stops.ramp_control_s
         ).failing(stops.ramp_off_after_s or None, monitored=stops.ramp_monitored)
-    try:
-        if sha256 and model.sha256 != sha256:
-            raise ModelFileError(
-                f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
-                "have the monitor read it anew (SIGHUP), or restore it"
-            )
-        return StopBounds.of(model, payload, ramp=ramp, fast=True), ""
-    except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
-        return None, str(e)
+    if sha256 and model.sha256 != sha256:
+        raise ModelFileError(
+            f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
+            "have the monitor read it anew (SIGHUP), or restore it"
+        )
+    return StopBounds.of(model, payload, ramp=ramp, fast=True)
 
 
 def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Certificate:

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import zenoh
 
+from stopset.errors import BusError
 from stopset.monitor.links.endpoints import check_endpoint, not_opened
 
 PATIENCE = 5.0  # [s] with a session that closes; a tenth of a second is usual
@@ -50,6 +51,8 @@ class ZenohLink:
                 config.insert_json5("scouting/gossip/enabled", "false")
                 # an empty list here, or a peer would listen on every interface; a client listens nowhere, whatever is asked for
                 config.insert_json5("listen/endpoints", json.dumps([] if mode == "client" else list(listen)))
+            # a segment that cannot be made (no room in memory, no file descriptor left) is no error there but a panic; and nobody needs it
+            config.insert_json5("transport/shared_memory/enabled", "false")
             if connect:
                 config.insert_json5("connect/endpoints", json.dumps(list(connect)))
             self._session = zenoh.open(config)
@@ -71,12 +74,22 @@ class ZenohLink:
             reliability=zenoh.Reliability.BEST_EFFORT,
         )
         self._held.append(p)
-        return p.put
+
+        def put(data: bytes) -> None:
+            try:
+                p.put(data)
+            except BaseException as e:
+                raise _raised(e) from e
+
+        return put
 
     def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
         """Publish on a slow key; ``must_arrive`` waits for room instead of dropping."""
         control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
-        self._session.put(self.key(name), data, congestion_control=control)
+        try:
+            self._session.put(self.key(name), data, congestion_control=control)
+        except BaseException as e:
+            raise _raised(e) from e
 
     def subscribe(self, name: str, handler: Callable[[str, bytes], None]) -> None:
         """Call ``handler(key, data)`` from zenoh's thread for every message; keep it short."""
@@ -120,3 +133,8 @@ class ZenohLink:
         closing = threading.Thread(target=self._session.close, daemon=True, name="closing")
         closing.start()
         closing.join(PATIENCE)
+
+
+def _raised(e: BaseException) -> BaseException:
+    """What to raise for an error of zenoh's: a panic of its Rust, no `Exception`, would pass everybody who is to go on."""
+    return BusError(f"zenoh failed inside: {e}") if type(e).__name__ == "PanicException" else e
