@@ -301,9 +301,36 @@ def test_ends_that_a_filter_bent_are_left_out(tmp_path: Path, motion: Recording)
     seen = [np.max(reading_residual(x.q, x.dq, 0.008).reach[3:]) for x in (bent(whole), r, whole)]
     assert seen[0] > 3 * seen[1], "a bent end would be the error of every reading"
     assert seen[1] <= 1.1 * seen[2]
+    # a file with suites and trials and without phases is taken for open loop, whose trials begin alike: their ends alone are left out
+    write_recordings(path, META, [replace(bent(whole), phase="open_loop")])
+    (r,) = read_recordings(path).trials
+    assert r.bent[0] == 0.0 and 0.2 < r.bent[1] < 0.8
+    back = bent(replace(whole, q=whole.q[::-1], dq=-whole.dq[::-1]))
+    mirrored = replace(back, q=back.q[::-1], dq=-back.dq[::-1])
+    for phase, begins in (("closed_loop", True), ("open_loop", False)):
+        write_recordings(path, META, [replace(mirrored, phase=phase)])
+        assert (read_recordings(path).trials[0].bent[0] > 0.2) == begins
     stopped = replace(bent(whole), phase="stop1")
     write_recordings(path, META, [stopped])
     assert read_recordings(path).trials[0].bent == (0.0, 0.0)
+
+
+def test_a_jolt_is_told_by_its_time(tmp_path: Path, motion: Recording) -> None:
+    """A real arm's reference jumped where its trajectory began anew: V was thirty times as wide, and nothing said why."""
+    rng = np.random.default_rng(3)
+    sound = replace(motion, dq=motion.dq + 0.003 * rng.normal(size=motion.dq.shape))
+    path, h = tmp_path / "rec.parquet", float(motion.t[1] - motion.t[0])
+    at = float(motion.t[-1]) / 2
+    kick = 0.6 * np.exp(-0.5 * ((motion.t - at) / 0.015) ** 2)
+    for dq, expected in ((0.0 * kick, 0), (kick, 1)):
+        pushed = np.outer(dq, [0.0, 1.0, 0.0])
+        write_recordings(path, META, [replace(sound, q=sound.q + h * np.cumsum(pushed, axis=0), dq=sound.dq + pushed)])
+        i = inspect_recordings([path])[0]
+        told = [f for f in i.findings if f.kind == "jolt"]
+        assert len(told) == expected and not i.wrong
+    (f,) = told
+    assert f.severity == "note" and f"at {at:.3g}" in f.seen and f.seen.count(" s of ") == 1
+    assert f.value is not None and 0.15 < f.value < 0.6  # the slope of the positions takes up the rest
 
 
 def test_held_poses_alone_are_told_so(tmp_path: Path, motion: Recording) -> None:

@@ -71,12 +71,17 @@ def test_how_far_an_inertia_was_moved_counts_to_its_error() -> None:
     assert stated["m"] == fitted["m"] and stated["mz"] == fitted["mz"]
     moved = stated["Izz"].value - fitted["Izz"].value
     assert moved > 0.15 and stated["Izz"].std == pytest.approx(np.hypot(0.02, moved))
-    words = says(payload, fitted, stated, described=False)
+    words = says(payload, fitted, stated, described=False, lowered=0.5)
     assert "2.93 kg (95 %: 2.89 to 2.97 kg)" in words and "is no body's" in words and "description alone" not in words
-    assert "is no body's" not in says(payload, stated, stated, described=False)
+    assert "is no body's" not in says(payload, stated, stated, described=False, lowered=0.5)
+    alone = says(
+        payload, stated, stated, described=True, lowered=0.007
+    )  # a user asked what a load is that takes nothing off the error
+    assert "masses, fitted again, carry it as well" in alone and "description alone" in alone
+    assert "carry it" not in says(payload, stated, stated, described=True, lowered=0.5)
     spring = get("spring")
     one = {"k": Parameter(3.0, "N m/rad", 0.1)}
-    assert of_a_body(spring, one) is one and says(spring, one, one, described=False) == spring.says
+    assert of_a_body(spring, one) is one and says(spring, one, one, described=False, lowered=0.5) == spring.says
 
 
 def test_which_of_two_effects_that_masses_imitate_is_the_cause_does_not_hang_on_which_was_found_first() -> None:

@@ -92,6 +92,11 @@ def test_absurd_sets_are_named(data: Path) -> None:
     assert "12.0 ms after the slope" in text and JOINTS[0] in text
     blind = dataclasses.replace(found.tightness, half=np.array([[0.1, 0.1, 9.0, 9.0]] * 3))
     assert all(x.grave and "say nothing" in x.what for x in silent(survey, JOINTS, blind))
+    (why,) = silent(
+        survey, JOINTS, blind, geared=False
+    )  # one sentence of all joints, with what to record instead of what to look at
+    assert why.grave and all(j in why.what for j in JOINTS) and "motor current times torque constant" in why.what
+    assert "look at its inertia" not in why.what and silent(survey, JOINTS, found.tightness, geared=False) == []
     one = dataclasses.replace(found.tightness, half=np.array([[0.1, 0.1, 9.0, 0.1]] * 3))
     assert [x.says[:5] for x in silent(survey, JOINTS, one)] == ["wide:"]
 

@@ -23,11 +23,15 @@ MOSTLY = 0.5  # share of the part in which they differ
 
 
 def sound_part(r: Recording) -> Recording:
-    """A trial in closed loop without the ends at which its speeds contradict its positions; ``bent`` [s]: what was left out."""
-    if r.phase != "closed_loop" or r.t[-1] - r.t[0] < FEWEST * EDGE:
+    """A powered trial without the ends at which its speeds contradict its positions; ``bent`` [s]: what was left out.
+
+    In open loop, for which a file without phases is taken, the beginning stays: trials of one suite are those that begin alike.
+    """
+    if r.phase not in ("closed_loop", "open_loop") or r.t[-1] - r.t[0] < FEWEST * EDGE:
         return r
     by = _contradiction(r)
-    begin, end = _reach(by, r.t - r.t[0]), _reach(by[::-1], r.t[-1] - r.t[::-1])
+    begin = _reach(by, r.t - r.t[0]) if r.phase == "closed_loop" else 0
+    end = _reach(by[::-1], r.t[-1] - r.t[::-1])
     if begin == end == 0:
         return r
     lo, hi = begin, len(r.t) - end

@@ -141,7 +141,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         given = dict(fitted if objections[k] else of_a_body(c.effect, fitted))
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         surplus = bool(why) and not objections[k]
-        words = says(c.effect, fitted, given, described=not engine.modelled)
+        lowered = 1.0 - float(taken.stated[1][taken.joint] / taken.stated[0][taken.joint])
+        words = says(c.effect, fitted, given, described=not engine.modelled, lowered=lowered)
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from stopset.effects import Effect
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Parameter
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
 from stopset.offline.nominal.physical import SMALL, pseudo_inertia
@@ -22,6 +23,7 @@ from stopset.types import Array
 
 # measured on a UR10e that carried nothing (benchmarks/payload_limits.py): 0.8 kg too much by its description, 2.2 to 0.3 kg with its torque
 # 15 % too small or too large
+CARRIED_BY_LINKS = " The error hardly falls with it, because the links' masses, fitted again, carry it as well."
 WEIGHED_ALONE = (
     " It was weighed against the robot's description alone, whose masses and torque scale decide as much: record these motions without it, "
     "`stopset identify` from that, and diagnose this recording against that model."
@@ -58,18 +60,20 @@ def _moved(p: Parameter, to: float) -> Parameter:
     return Parameter(to, p.unit, None if p.std is None else float(np.hypot(p.std, to - p.value)))
 
 
-def says(effect: Effect, fitted: Mapping[str, Parameter], stated: Mapping[str, Parameter], *, described: bool) -> str:
+def says(
+    effect: Effect, fitted: Mapping[str, Parameter], stated: Mapping[str, Parameter], *, described: bool, lowered: float
+) -> str:
     """The effect's sentence; of a payload also what it weighs, in an interval, where its centre is, and what would weigh it better.
 
     ``fitted``: its numbers as the rows have them, ``stated`` `of_a_body`; ``described``: it is held against the robot's description, not
-    against a model from recordings without it.
+    against a model from recordings without it; ``lowered``: share of the held-out error that it takes away.
     """
     m = stated["m"] if effect.carried else None
     if m is None or m.std is None:
         return effect.says
     half = TWO_SIDES * m.std
     text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
-    alone = WEIGHED_ALONE if described else ""
+    alone = (CARRIED_BY_LINKS if lowered < limit.STANDS_OUT else "") + WEIGHED_ALONE if described else ""
     if abs(m.value) < half:
         return f"{text}.{alone}"
     centre = ", ".join(f"{stated[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))

@@ -14,6 +14,11 @@ from stopset.offline.conform.tightness import JUDGED, Tightness
 
 LATE = 0.5  # samples: a speed that comes later than this after the slope of its positions is told
 MOVES = 5.0  # a joint moves if it is faster than so many times its noise
+BEHIND_GEARS = (
+    "torque behind the gears moves links without their rotors, and what a model lacks of it makes light links fast: such torque tells what the "
+    "links weigh and rub, not where they go; record the drives' own torque (motor current times torque constant and gear ratio), or use this "
+    "model for diagnosis only"
+)
 RANGES = 3.0  # an open-loop prediction that errs by more than so many of the joint's ranges has diverged
 
 
@@ -41,18 +46,28 @@ def late(found: Survey, joints: Sequence[str]) -> list[str]:
     ]
 
 
-def silent(found: Survey, joints: Sequence[str], tightness: Tightness) -> list[Oddity]:
-    """One for each joint of which the sets say less after 0.1 s than that it moves as it always did."""
-    n, out = len(joints), []
+def silent(found: Survey, joints: Sequence[str], tightness: Tightness, *, geared: bool = True) -> list[Oddity]:
+    """What is said of joints of which the sets say less after 0.1 s than that they move as they always did.
+
+    Not ``geared``: the torque shows no rotors, so one sentence tells of all of them why that is, and what would tell more.
+    """
+    n, mute = len(joints), dict[str, tuple[float, float]]()
     fastest = np.maximum(np.abs(found.dq.lo), np.abs(found.dq.hi))
     for k, j in enumerate(joints):
         half = float(tightness.half[JUDGED, n + k])
         if np.isfinite(half) and half > fastest[k] > MOVES * found.readings.least.hi[n + k]:
-            out.append(
-                f"after 0.1 s the speed of {j} is predicted to within {half:.3g} rad/s, and it was never faster than {fastest[k]:.3g} "
-                "rad/s: its sets say nothing there; look at its inertia and friction (`stopset compare`)"
-            )
-    return [Oddity(grave=2 * len(out) > n, what=x) for x in out]
+            mute[j] = (half, float(fastest[k]))
+    said = "say nothing there"
+    if geared or not mute:
+        out = [
+            f"after 0.1 s the speed of {j} is predicted to within {half:.3g} rad/s, and it was never faster than {most:.3g} "
+            f"rad/s: its sets {said}; look at its inertia and friction (`stopset compare`)"
+            for j, (half, most) in mute.items()
+        ]
+    else:
+        each = ", ".join(f"{j} {half:.3g} rad/s (never faster than {most:.3g})" for j, (half, most) in mute.items())
+        out = [f"after 0.1 s speeds are predicted to within {each}: the sets {said}; {BEHIND_GEARS}"]
+    return [Oddity(grave=2 * len(mute) > n, what=x) for x in out]
 
 
 def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found: Survey, *, geared: bool = True) -> list[Oddity]:

@@ -86,7 +86,8 @@ def packed(
         )
         by_band = {name: widened(s, nominal.uncertain_torque) for name, s in by_band.items()}
     tightness = tight(result.sets)
-    odd = [*silent(found, robot.joints, tightness), *absurd(result.sets, errors, found, geared=nominal.rotors_shown)]
+    geared = nominal.rotors_shown
+    odd = [*silent(found, robot.joints, tightness, geared=geared), *absurd(result.sets, errors, found, geared=geared)]
     said = (*late(found, robot.joints), *tightness.words(robot.joints), *(o.says for o in odd))
     bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
     widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}

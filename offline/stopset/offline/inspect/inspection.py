@@ -18,6 +18,7 @@ from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import clock
 from stopset.offline.inspect.findings_signals import readings, saturation, velocity
 from stopset.offline.inspect.inertia import Momentum
+from stopset.offline.inspect.jolts import Jolt, found, jolts
 from stopset.offline.inspect.mounting import mounting
 from stopset.offline.inspect.needs import Inventory, Need, needs
 from stopset.offline.inspect.order import exchanged
@@ -83,6 +84,7 @@ class _Campaign:
     channels: set[str] = field(default_factory=set)
     sample: UnitSample = field(default_factory=UnitSample)
     seen: dict[bytes, str] = field(default_factory=dict)  # labels of moving trials by fingerprint
+    jolts: list[Jolt] = field(default_factory=list)
     heard: list[Recording] = field(default_factory=list)  # the first moving trials, of about a minute together
 
     def add(self, r: Recording) -> None:
@@ -92,6 +94,7 @@ class _Campaign:
             self.seen[r.fingerprint] = r.label
         self.tally.add(r)
         self.sample.add(r)
+        self.jolts += jolts(r)
         if self.momentum is not None:
             self.momentum.add(r)
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
@@ -186,6 +189,8 @@ def _findings(
     out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints, meta)]
     if t.trials == 0:
         return out
+    if not any(f.severity == "error" for f in out):  # stamps and readings that are wrong tear speeds apart
+        out += found(campaign.jolts, joints)
     sign = findings_torque.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
     if robot is not None:
         out += findings_torque.torque_limits(t, joints, robot.torque_limit)
