@@ -28,7 +28,14 @@ class Failed(NamedTuple):
 
 
 def failing_shares(ramp: Ramp, dq: Array, rng: np.random.Generator) -> Array:
-    """(K, n) share of the request's speed of each joint, constant over each `DT` until power is taken."""
+    """(K, n) share of the request's speed of each joint, constant over each `DT` until power is taken: of the programmed motion's, which
+    changes by its pace as it is run through."""
+    shares = _of_the_motion(ramp, dq, rng)
+    pace = rng.choice([*ramp.pace, 0.0])
+    return np.asarray(shares * np.maximum(1.0 + pace * DT * np.vstack([0.0 * shares[:1], np.cumsum(shares, axis=0)[:-1]]), 0.0))
+
+
+def _of_the_motion(ramp: Ramp, dq: Array, rng: np.random.Generator) -> Array:
     n, top = len(dq), ramp.share
     lasts = float(np.max(ramp.value.hi if ramp.kind == "time" else np.abs(dq) / ramp.value.lo))
     control = float(np.max(ramp.control.hi))

@@ -14,6 +14,7 @@ import pytest
 
 from stop_failing import sample_failed_ramps
 from stopset.reach.stops import Ramp, StopBounds
+from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.failed import FAST_SLICES, SLICES, Cover, StatesAtCut, cover, failed_cells
 from stopset.reach.stops.tube import OK
 
@@ -58,6 +59,30 @@ def test_bounds_of_milder_failures_are_escaped(weaker: dict) -> None:  # type: i
     mild = replace(bounds, ramp=replace(ramp, **weaker)).bound(q, dq, "1 guaranteed")
     assert mild.certified
     assert sample_failed_ramps(bounds, mild, q, dq, 200, 2).escaped > 0
+
+
+@pytest.mark.parametrize("fast", [False, True])
+@pytest.mark.parametrize("monitored", [False, True])
+def test_a_failed_ramp_goes_on_with_a_motion_that_gets_faster(monitored: bool, fast: bool) -> None:
+    """300 failures of motions that gain half of their speed in a second; and a ramp that works is one of those that fail."""
+    ramp = replace(Ramp.stated(6, time=0.3, control=0.1), pace=(-0.5, 0.5)).failing(
+        None if monitored else 0.45, monitored=monitored
+    )
+    bounds, rng = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=ramp, fast=fast), np.random.default_rng(9)
+    core = CompiledStops.of(bounds.setting, ramp)
+    for k in range(3):
+        q, dq = rng.uniform(-2.0, 2.0, 6), rng.uniform(0.3, 0.9, 6) * rng.choice([-1.0, 1.0], 6)
+        failed, works = bounds.bound(q, dq, "1 guaranteed"), bounds.bound(q, dq, "1")
+        assert failed.certified and works.certified
+        assert sample_failed_ramps(bounds, failed, q, dq, 50, k).escaped == 0
+        assert np.all(works.angle <= failed.angle) and np.all(works.speed <= failed.speed + 1e-9)
+        if fast:
+            compiled = core.bound(q, dq, "1 guaranteed")
+            assert (
+                compiled is not None
+                and np.allclose(compiled.speed, failed.speed)
+                and np.allclose(compiled.forward, failed.forward)
+            )
 
 
 @pytest.mark.parametrize("slices", [SLICES, FAST_SLICES])

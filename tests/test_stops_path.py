@@ -418,3 +418,21 @@ def test_a_drive_that_has_no_torque_left_farther_on_is_said() -> None:
         except NotCovered as e:
             refused.add("no torque left" if f"the drive of {MODEL.joints[0]} has no torque left" in str(e) else "other")
     assert "no torque left" in refused
+
+
+@pytest.mark.parametrize("rate", [0.6, 1.2])
+def test_a_motion_that_gets_faster_is_stopped_from_where_and_as_fast_as_it_then_is(rate: float) -> None:
+    """Until its ramp begins it gains up to its pace: from there at that rate no drive stops it sooner than the bound without any pace says."""
+    late, pace = 0.05, 1.4
+    ramp = Ramp.stated(6, time=0.3, control=late)
+    path = Path.through(POINTS)
+    told = path_stop(replace(BOUNDS, ramp=replace(ramp, pace=(-pace, pace))), path, 0.5, rate)
+    s, quick = 0.5 + rate * late * (1.0 + 0.5 * pace * late), rate * (1.0 + pace * late)
+    then = path_stop(replace(BOUNDS, ramp=Ramp.stated(6, time=0.3, control=0.0)), path, s, quick)
+    assert told.bound.certified and then.bound.certified
+    assert told.length >= 0.999 * (s - 0.5 + then.length) and told.time >= 0.999 * (late + then.time)
+    assert told.length > 1.03 * path_stop(replace(BOUNDS, ramp=ramp), path, 0.5, rate).length
+    at = np.linspace(0.5, 0.999 * (s + then.length - 0.5) + 0.5, 50)
+    moved = path.p(at, 0) - path.p(at[:1], 0)
+    assert np.all(moved.max(axis=0) <= told.bound.forward + 1e-9) and np.all(-moved.min(axis=0) <= told.bound.back + 1e-9)
+    assert np.all(np.abs(path.p(np.array([s]), 1)[0] * quick) <= told.bound.speed + 1e-9)

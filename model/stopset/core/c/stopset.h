@@ -883,7 +883,7 @@ typedef struct {
     const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
     int32_t ranged;              /* pi_half is a range of payloads, which two parts of it may bound more tightly */
 } StopsetStops;
-/* pi, half (n, 10) of a part (0: the heavier, 1) of what pi_half allows: every payload of it lies in one of the two. */
+/* pi, half (n, 10) [kg, kg m, kg m^2] of a part (0: the heavier, 1) of what pi_half allows: every payload of it lies in one of the two. */
 STOPSET_API void stopset_payload_part(const StopsetPlant *plant, int part, double *pi, double *half);
 
 typedef struct {

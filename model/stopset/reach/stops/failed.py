@@ -1,8 +1,9 @@
 """STOP 1 whose ramp fails: every state in which power can be taken, covered by boxes that each get a STOP 0 tube.
 
 From the request on each joint goes on along its motion with a share ``lambda_i(t)`` of its speed, any function of time with
-values from 0 to the largest share: one drive may fail while others brake, or all together. Power is taken after a fixed
-time (SS1-t), or ``reaction`` after a joint has left its monitored ramp (SS1-r), at the latest when that has ended. So joint
+values from 0 to the largest share: one drive may fail while others brake, or all together. A programmed motion that gets faster by
+its pace does so as it is run through. Power is taken after a fixed time (SS1-t), or ``reaction`` after a joint has left its monitored
+ramp (SS1-r), at the latest when that has ended. So joint
 i has travelled between 0 and some seconds at full speed, and has a speed between 0 and some share: a box. Where the tube
 of a box does not come to rest the box is cut in two, across the side that matters most, or, of a narrow one, what is known of
 brakes and rotors. A budget of tubes, larger where cutting helps, keeps that short; what it does not close the
@@ -78,10 +79,11 @@ def failed_cells(ramp: Ramp, fastest: Array, slices: int = SLICES) -> list[State
 
     ``fastest`` (n,) [rad/s]: the largest speeds at the request, as a ramp of fixed deceleration lasts. None where nothing says when power is taken.
     """
-    n, top = len(fastest), ramp.share
+    n, top, pace = len(fastest), ramp.share, max(0.0, *ramp.pace)
 
     def cell(path_time: float, speed: float, time: float) -> StatesAtCut:
-        return StatesAtCut(np.tile([0.0, path_time], (n, 1)), np.tile([0.0, speed], (n, 1)), time)
+        travel, share = path_time * (1.0 + 0.5 * pace * path_time), speed * (1.0 + pace * path_time)
+        return StatesAtCut(np.tile([0.0, travel], (n, 1)), np.tile([0.0, share], (n, 1)), time)
 
     if not ramp.monitored:
         return [] if ramp.off_after is None else [cell(top * ramp.off_after, top, ramp.off_after)]

@@ -89,9 +89,8 @@ def _failure(ramp: Ramp) -> str:
             f"{1e3 * ramp.reaction:.3g} ms after a joint is {ramp.tolerance:.0%} of its speed above the monitored ramp, at the "
             f"latest when that has ended (SS1-r); {rising}"
         )
-    return (
-        f"the ramp fails, {who}: 0 to {ramp.share:g} of the speed at the request, in its direction, until power is taken {when}"
-    )
+    speed = "the programmed motion's speed" if any(ramp.pace) else "the speed at the request"
+    return f"the ramp fails, {who}: 0 to {ramp.share:g} of {speed}, in its direction, until power is taken {when}"
 
 
 def no_certificate(joints: tuple[str, ...], margin: np.ndarray, reach: float) -> str:

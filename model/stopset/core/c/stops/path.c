@@ -225,18 +225,24 @@ static void pass(const Task *t, StopsetPassed *p, double s, const double *q, con
     }
 }
 
-/* What is passed from s0 on, and the least torque left on the way; a code. */
-static int look(const Task *t, double s0, double rate, double begin, const Profile *f, StopsetPassed *p) {
+static double clamped(double x, double size) { return x > size ? size : x < -size ? -size : x; }
+
+/* What is passed from s0 on, where the path is run through at `asked`, and the least torque left on the way; a code. Until it brakes it may get faster,
+ * up to f's first rate, but no joint faster than the arm's. */
+static int look(const Task *t, double s0, double asked, double begin, const Profile *f, StopsetPassed *p) {
     const int n = t->n;
     const double end = begin + f->made * f->step;
     double q[SN], first[SN], second[SN], v[SN], a[SN], tau[SN], friction[6 * SN], top[SN];
     StopsetPlant plant;
     StopsetArm arm = t->stops->plant.arm;
-    p->rate = rate;
+    p->rate = sqrt(f->x[0]);
     for (int k = 0; k < EARLY; k++) {
         const double s = s0 + (begin - s0) * k / (EARLY - 1);
         place(t, s, q, first, second);
-        for (int i = 0; i < n; i++) v[i] = first[i] * rate;
+        for (int i = 0; i < n; i++) {
+            const double at_request = first[i] * asked, most_of_it = most(t->path->fastest[i], size_of(at_request));
+            v[i] = k ? clamped(first[i] * p->rate, most_of_it) : at_request;
+        }
         pass(t, p, s, q, v);
     }
     for (int k = 0; k <= f->made; k++) p->rate = most(p->rate, sqrt(f->x[k]));
@@ -352,7 +358,7 @@ int64_t stopset_path_room(int n) { return POSES * (1 + 2 * (int64_t)n); }
 
 int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const StopsetPath *path, const StopsetRequest *request, double *work,
                       StopsetPassed *passed, const StopsetBound *out) {
-    const double s = request->s, rate = request->rate;
+    const double s = request->s, rate = request->rate, pace = most(0.0, most(ramp->pace[0], ramp->pace[1]));
     Task t = {stops, ramp, path, stops->plant.arm.n, {0}, {0}, {{0}}};
     Profile f;
     double after = 0.0, control = 0.0;
@@ -367,7 +373,8 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
         for (int side = 0; side < 2; side++) t.body[side][k] = stops->plant.arm.pi[k] + (side ? 1.0 : -1.0) * stops->plant.pi_half[k];
     StopsetPassed none = {0, -1, 0.0, 0.0, control, STOPS_INF, 0.0, work, work + POSES, work + POSES + POSES * (int64_t)t.n};
     *passed = none;
-    passed->begin = s + rate * control;
+    const double quick = rate * (1.0 + pace * control); /* at the latest start of the ramp, of a motion that gets faster */
+    passed->begin = s + rate * control * (1.0 + 0.5 * pace * control);
     if (!((s >= 0.0) & (s < path->knots[path->pieces]) & (rate > 0.0) & (rate < STOPS_INF))) return STOPSET_OUT_OF_RANGE;
     if (!(passed->begin < path->knots[path->pieces])) return STOPSET_PATH_ENDS;
     passed->joint = beyond(&t, s);
@@ -377,7 +384,7 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     for (int i = 0; i < t.n; i++)
         if (!(size_of(first[i] * rate) <= path->fastest[i] * (1.0 + 1e-9))) passed->joint = i;
     if (passed->joint >= 0) return STOPSET_PATH_SPEED;
-    int code = shortest(&t, passed->begin, rate, passed, &f);
+    int code = shortest(&t, passed->begin, quick, passed, &f);
     if (!code) code = look(&t, s, rate, passed->begin, &f, passed);
     if (code) return code;
     passed->length = passed->begin - s + f.made * f.step;

@@ -181,18 +181,24 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
     return STOPSET_OK;
 }
 
-/* States at power-off: every joint has travelled up to `path_time` seconds at the speed of the request, and has up to `share` of it. */
+/* States at power-off: every joint has travelled up to `travel` seconds at the speed of the request, and has up to `share` of it. */
 typedef struct {
-    double path_time, share, time;
+    double travel, share, time;
 } Cell;
+
+/* Of a path time run through at a share of the programmed motion's speed, which grows by its pace. */
+static Cell cell_of(const StopsetRamp *r, double path_time, double speed, double time) {
+    const double pace = most(0.0, most(r->pace[0], r->pace[1]));
+    const Cell out = {path_time * (1.0 + 0.5 * pace * path_time), speed * (1.0 + pace * path_time), time};
+    return out;
+}
 
 /* All of them but those that lie in the next one, which is later: so does their stop. 0 where nothing says when power is taken. */
 static int cells_of(const StopsetRamp *r, int n, const StopsetStates *from, int slices, Cell cell[SLICES + 1]) {
     double lasts = -STOPS_INF, control = -STOPS_INF;
     int count = 0;
     if (!r->monitored) {
-        const Cell one = {r->share * r->off_after, r->share, r->off_after};
-        cell[0] = one;
+        cell[0] = cell_of(r, r->share * r->off_after, r->share, r->off_after);
         return r->off_after >= 0.0;
     }
     for (int i = 0; i < n; i++) {
@@ -204,7 +210,7 @@ static int cells_of(const StopsetRamp *r, int n, const StopsetStates *from, int 
         const double path_time = control * least(r->share, 1.0 + r->tolerance) + lasts * (s - 0.5 * s * s + r->tolerance * s);
         /* without drives that accelerate the speed stays below the line while power is being taken */
         const double speed = r->share <= 1.0 ? line : r->share;
-        const Cell one = {path_time + r->reaction * speed, speed, control + lasts * s + r->reaction};
+        const Cell one = cell_of(r, path_time + r->reaction * speed, speed, control + lasts * s + r->reaction);
         if (count && cell[count - 1].share <= one.share) count--; /* later, no joint has travelled less */
         cell[count++] = one;
     }
@@ -218,7 +224,7 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const Stopse
     double box[4][SN], lo[SN], hi[SN], speed[SN], fastest[SN];
     Region region;
     for (int i = 0; i < n; i++) {
-        const double moved = cell->path_time * dq[i], v = cell->share * dq[i], off = cell->path_time * dq_radius[i], unsure = cell->share * dq_radius[i];
+        const double moved = cell->travel * dq[i], v = cell->share * dq[i], off = cell->travel * dq_radius[i], unsure = cell->share * dq_radius[i];
         lo[i] = least(0.0, moved) - off - r->q_error[i];
         hi[i] = most(0.0, moved) + off + r->q_error[i];
         const double v_lo = least(0.0, v) - unsure - r->dq_error[i] + r->residual_lo[i];
