@@ -196,13 +196,12 @@ def test_a_cause_outside_the_catalogue_is_called_unknown() -> None:
     assert any("q_a" in name for name in found.depends_on)
     assert found.next_experiment
     # nothing is named, so what is left is what the model leaves without the claims, each of which is told with its reason
-    assert found.claims and "bump" not in str(found.unexplained)
+    assert any(u.resembles for u in found.unexplained) and "bump" not in str(found.unexplained)
     at = {u.joint: u for u in found.unexplained}
     for claim in found.claims:
         joint = claim.joints[0] if claim.joints else next(iter(at))
         assert any(words.startswith(f"{claim.label}: it explains a part") for words in at[joint].resembles), at[joint]
-    first = found.claims[0]
-    assert at[first.joints[0]].size == pytest.approx(first.error_before)
+    assert any("as much is left there that nothing explains" in words for words in at["a"].resembles) and at["a"].size > 0.0
 
 
 @pytest.fixture(scope="module")
