@@ -59,12 +59,11 @@ def recorded(s: Scenario, lengths: tuple[float, ...], rate: float, trouble: Trou
     trials = []
     for k, seconds in enumerate(lengths):
         motion = build(cell.space, seconds, 0.8, TICK, cell.random("production", k))
-        trials.append(logged(cell, Measurement("closed_loop", k, 0, motion), rate, trouble))
+        trials.append(_logged(cell, Measurement("closed_loop", k, 0, motion), rate, trouble))
     return Recordings(replace(s.meta, sources=(), rate_hz=rate), tuple(trials))
 
 
-def logged(cell: Cell, job: Measurement, rate: float, trouble: Trouble) -> Recording:
-    """One motion as a logger of ``rate`` [Hz] writes it."""
+def _logged(cell: Cell, job: Measurement, rate: float, trouble: Trouble) -> Recording:
     every, rng = round(1.0 / (rate * TICK)), cell.random("logger", job.suite)
     log = play(cell, job, temperatures(cell, MIDDAY), cell.random("trial", job.suite))
     t = every * TICK * np.arange(len(log.q[::every]))

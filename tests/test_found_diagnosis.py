@@ -20,14 +20,12 @@ from stopset.offline.identify.pipeline import Settings, identified
 from stopset.offline.inspect import inspect_recordings
 from stopset.recording import Recordings, write_recordings
 from stopset.simulation import Scenario, prepare
-from stopset.simulation.cell import TICK, Measurement
-from stopset.simulation.motions import point_to_point
 from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import found_pairs
 import payloads
-from as_found import CASES, Trouble, answer, logged, recorded
+from as_found import CASES, Trouble, answer, recorded
 
 DRIFTS = "torque sensor drifts by 1 N m, one trajectory"
 LATE = "torque 12 ms late"
@@ -107,22 +105,6 @@ def test_torque_constants_that_are_off_alike_are_no_load(healthy: Healthy) -> No
     e = found.ranked[0].parameters["e"]
     assert e.std is not None and e.value == pytest.approx(1 / 1.04 - 1, abs=4 * e.std) and e.std < 0.005
     assert "torque scale of all joints" in found.ranked[0].says
-
-
-def test_motions_that_creep_say_nothing_of_rotors_nor_of_an_upright_drives_scale(healthy: Healthy) -> None:
-    """Two rotors, one with -1.1 kg m^2, and a gain were named of a healthy arm that creeps."""
-    cell = replace(healthy.scenario.cell, seed=709)
-    jobs = [
-        Measurement("closed_loop", k, 0, point_to_point(cell.space, 12.0, 0.06, TICK, cell.random("production", k)))
-        for k in range(6)
-    ]
-    trials = tuple(logged(cell, job, 100.0, Trouble()) for job in jobs)
-    found, _ = diagnose_model(healthy.model, replace(healthy.recorded((8.0,) * 2, 6), trials=trials))
-    upright = healthy.model.joints[0]
-    assert not {"rotor_inertia", "torque_gain"} & {r.effect for r in found.ranked if upright in r.joints}
-    assert not any(r.effect == "rotor_inertia" for r in found.ranked)
-    blind = {b.effect for b in found.not_identifiable if upright in b.joints and "little else than its friction" in b.why}
-    assert blind == {"rotor_inertia", "torque_gain"}
 
 
 @pytest.mark.parametrize("unit", ["per cent of the drive's limit", "ampere"])

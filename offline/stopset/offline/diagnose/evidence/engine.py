@@ -197,19 +197,6 @@ class Engine:
         """Whether gravity loads one of ``joints`` in these motions."""
         return any(float(np.ptp(self.source.gravity[:, j])) >= limit.FLAT * self.level(j) for j in joints)
 
-    def scaled(self, effect: Effect, place: tuple[int, ...]) -> bool:
-        """Whether these motions ask for more of what ``effect`` scales than friction scatters by; true of one that scales nothing.
-
-        A joint's inertia takes torque where it accelerates, its drive's scale shows where there is other torque than friction.
-        """
-        if effect.scope != "joint" or effect.enters not in ("inertia", "input_gain") or self.source.compensated:
-            return True
-        j, take = place[0], self.rows[place[0]].take
-        ddq = self.data.ddq[take, j]
-        links = self.source.mass[take, j, j] * ddq if effect.enters == "inertia" else self.source.link[take, j]
-        torque = links + self.robot.rotor[j] * ddq
-        return bool(len(take) and np.sqrt(np.mean(torque**2)) >= limit.USUAL_SCATTER * self.level(j))
-
     def update_source(self, theta: Array) -> None:
         """Let columns that need the arm as it is, not as described, use the base model of a fit; ``theta``: of `Hypothesis.nuisance`."""
         n = self.data.n

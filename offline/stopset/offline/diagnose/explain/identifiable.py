@@ -25,7 +25,6 @@ UNRECORDED = "no temperature is recorded"
 EVEN = f"the temperature varies by less than {limit.WARMER:g} K"
 STILL = "the joint hardly moves"
 UNLOADED = "gravity does not load the joint in these motions"
-SLOW = "these motions ask of the joint little else than its friction"
 TRACELESS = "it leaves no trace in these motions"
 IMITATED = "masses, centres of mass or plain friction would take up its torque"
 NOISE = "at its usual size its torque is lost in the noise of these motions"
@@ -33,7 +32,6 @@ REMEDIES = {
     UNRECORDED: "Record the drives' temperatures, from a cold start until they are warm.",
     EVEN: "Measure the same motions cold and warm, at least 10 K apart.",
     UNLOADED: "Turn the arm so that gravity loads the joint; on an upright axis this effect does nothing.",
-    SLOW: "Move the joint as fast as it may, with sharp starts and stops, and turned so that gravity loads it.",
     STILL: "Move the joint through its whole range at several speeds.",
 }  # for the other reasons the effect's own experiment is the remedy
 
@@ -78,7 +76,7 @@ def blind_spots(
     ]
     shown = _shown(now, hyper, [c for c in (*candidates, *engine.add_all(more)) if c.key in asked])
     for name, place in asked:
-        why = _hidden(engine, place, shown.get((name, place)), catalogue()[name])
+        why = _hidden(engine, place, shown.get((name, place)), frozenset(catalogue()[name].needs))
         if why:
             found.setdefault((name, why), []).append("+".join(engine.data.joints[j] for j in place))
     return tuple(
@@ -139,14 +137,12 @@ def _expected(p: Projection, ix: np.ndarray, c: Candidate) -> float:
     return max(gain(S, S[:, k] * c.sd[k], 1.0 / c.sd**2)[0] for k in range(len(ix)))
 
 
-def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] | None, effect: Effect) -> str:
+def _hidden(engine: Engine, place: tuple[int, ...], shown: tuple[float, float] | None, needs: frozenset[str]) -> str:
     """Why an effect at a place would go unnoticed; empty where it would be seen."""
     if any(len(engine.rows[j].take) <= limit.FEWEST_ROWS for j in place):
         return STILL
-    if not engine.scaled(effect, place):
-        return SLOW
     if shown is None:
-        return UNLOADED if frozenset(effect.needs) & LOADS and not engine.loaded(place) else TRACELESS
+        return UNLOADED if needs & LOADS and not engine.loaded(place) else TRACELESS
     evidence, taken = shown
     if evidence >= limit.THRESHOLD:
         return ""

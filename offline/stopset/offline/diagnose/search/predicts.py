@@ -11,7 +11,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
-from stopset.types import Array, Mask
+from stopset.types import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,34 +28,16 @@ class Step:
     @property
     def stated(self) -> tuple[Array, Array]:
         """(n,) [N m] each: the errors before and after, at its joints those in which it shows."""
-        before, after = (np.where(self._here & self.inner, x.within, x.whole) for x in (self.before, self.after))
+        here = np.isin(np.arange(len(self.before.whole)), self.joints) | (not self.joints)
+        before, after = (np.where(here & self.inner, x.within, x.whole) for x in (self.before, self.after))
         return before, after
-
-    @property
-    def shares(self) -> Array:
-        """(n,) of the error, how much is taken away; nothing at other joints than its own."""
-        before, after = self.stated
-        return np.where(self._here, 1.0 - after / before, -np.inf)
-
-    @property
-    def lowered(self) -> float:
-        """The most it takes away of any joint's error."""
-        return float(np.max(self.shares))
-
-    @property
-    def shows(self) -> int:
-        """The joint of which it takes the largest share away."""
-        return int(np.argmax(self.shares))
-
-    @property
-    def _here(self) -> Mask:
-        return np.asarray(np.isin(np.arange(len(self.before.whole)), self.joints) | (not self.joints))
 
     @property
     def joint(self) -> int:
         """Where, of its joints, it takes most away."""
         before, after = self.stated
-        return int(np.argmax(np.where(self._here, before - after, -np.inf)))
+        where = list(self.joints) or list(range(len(before)))
+        return where[int(np.argmax((before - after)[where]))]
 
 
 def step(
@@ -83,21 +65,24 @@ def judged(
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
-    whole = Step(before, after, "", candidate.joints)
     if candidate.effect.absorbed and not (earlier and now.engine.modelled):
-        return whole
-    whole, inner = (replace(x, why=_too_little(x, candidate, earlier, left)) for x in (whole, replace(whole, inner=True)))
-    return inner if whole.why and not inner.why and candidate.effect.role == "friction" else whole
+        return Step(before, after, "", candidate.joints)
+    inner = Step(before, after, "", candidate.joints, inner=True)
+    whole = replace(inner, why=_too_little(replace(inner, inner=False), candidate, earlier, left), inner=False)
+    hidden = whole.why and candidate.effect.role == "friction"
+    return inner if hidden and not _too_little(inner, candidate, earlier, left) else whole
 
 
 def _too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
     """Why an error falls too little, empty where it does not."""
-    expected, beside = _least(candidate, earlier), ""
-    keeps = x.inner or (len(left) > 0 and left[x.shows] > limit.QUIET)
+    where = list(candidate.joints) or list(range(len(x.stated[0])))
+    share = 1.0 - x.stated[1][where] / x.stated[0][where]
+    lowered, expected, beside = float(np.max(share)), _least(candidate, earlier), ""
+    keeps = x.inner or (len(left) > 0 and left[where[int(np.argmax(share))]] > limit.QUIET)
     if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
-    why = f"it lowers the error on motions that were not fitted by {x.lowered:.1%}; expected more than {expected:.0%}{beside}"
-    return "" if x.lowered > expected else why
+    why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"
+    return "" if lowered > expected else why
 
 
 def _least(candidate: Candidate, earlier: Sequence[Candidate]) -> float:
