@@ -30,7 +30,8 @@ from stopset.monitor.certificates import Certificate
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk, seen_by
-from stopset.monitor.stopworker import PreparedStops, answer_for, prepare
+from stopset.monitor.stopworker import answer_for, prepare
+from stopset.reach.stops import StopBounds
 from stopset.recording import read_recordings
 from stopset.types import Array
 
@@ -57,7 +58,7 @@ class Standing:
 class Alone(StopDesk):
     """The desk with the proofs in this process: an answer comes when it would have come from a core of its own."""
 
-    prepared: PreparedStops
+    prepared: StopBounds
 
     def _start(self) -> None:
         self._ready, self._pipe, self.free, self.due = True, self, 0.0, deque()  # type: ignore[assignment]

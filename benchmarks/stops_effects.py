@@ -270,13 +270,13 @@ def run(effects: Sequence[Fitted], states: int, stops: int, seed: int, blind: bo
     owner = np.repeat(np.arange(len(tubes)), stops)
     q, dq = np.repeat(qs, stops, axis=0), np.repeat(vs, stops, axis=0)
     batch = drawn(model, q, dq, s.payload_com, rng)
-    wrong, share = _misread(model, batch.q, rng)
+    wrong, share = misread_by(model, batch.q, rng)
     batch = replace(batch, q=batch.q + wrong, dq=batch.dq * (1.0 + share))
     left, worst = escapes(model, tubes, q, dq, batch, owner, rng)
     return {"states": states, "certified": len(tubes), "stops": len(owner), "escapes": left, "excess": worst}
 
 
-def _misread(model: Model, q: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def misread_by(model: Model, q: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """True less recorded position, and speed per speed, of arms whose encoders read ``q``."""
     out = np.zeros_like(q), np.zeros_like(q)
     for f in model.effects:

@@ -1,6 +1,6 @@
 """How fast stop bounds are: a box for the monitor, a state, the first call; beside one simulated stop.
 
-    python benchmarks/stops_speed.py [--ramps]
+    python benchmarks/stops_speed.py [--ramps | --ranges]
 
 CPU time of this process, so that other work on the machine counts less; medians.
 """
@@ -130,6 +130,36 @@ def ramps(states: int = 12) -> None:
     print(f"  all of them: {every / 1e3:.2f} s")
 
 
+def ranges(states: int = 60) -> None:
+    """Ranges of payloads in two parts beside all of them at once, measured states that the kinetic energy has to bound."""
+    print(
+        f"payloads in two parts over all at once, {states} states: median of the largest angle and of the tool's way, times the processor time"
+    )
+    for name, (model, top) in arms().items():
+        rated, n = model.domain.payload[1], model.n
+        for least in (0.0, 0.5, 0.75, 0.95, 0.98):
+            setting = StopBounds.of(model, (least * rated, rated)).setting
+            assert setting is not None
+            parts, whole = CompiledStops.of(setting), CompiledStops.of(setting)
+            parts.struct.ranged, whole.struct.ranged = 1, 0
+            rng, ratios, spent = np.random.default_rng(5), [], np.zeros(2)
+            for _ in range(states):
+                q, dq, took, found = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top, [], []
+                for core in (parts, whole):
+                    start = time.thread_time_ns()
+                    found.append(core.bound(q, dq))
+                    took.append(time.thread_time_ns() - start)
+                a, b = found
+                if a is None or b is None or took[0] < 1.5 * took[1]:
+                    continue
+                spent += took
+                ratios.append([max(a.forward.max(), a.back.max()) / max(b.forward.max(), b.back.max()), a.tool[0] / b.tool[0]])
+            if len(ratios) >= 10:
+                angle, tool = np.median(ratios, axis=0)
+                which = f"{name}, {least * rated:.3g} to {rated:.3g} kg, {len(ratios)} states"
+                print(f"  {which}: {angle:.2f}, {tool:.2f}; {spent[0] / spent[1]:.1f}", flush=True)
+
+
 FRESH = """
 import time; a = time.perf_counter()
 import numpy as np; from stop_arms import prbt_like; from stopset.reach.stops import StopBounds
@@ -153,9 +183,10 @@ def fresh_process() -> list[float]:
 
 
 def main() -> None:
-    if "--ramps" in sys.argv[1:]:
-        ramps()
-        return
+    for option, run in (("--ramps", ramps), ("--ranges", ranges)):
+        if option in sys.argv[1:]:
+            run()
+            return
     bounds = StopBounds.of(prbt_like(), (0.0, 0.25))
     q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
     dq = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])

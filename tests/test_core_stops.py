@@ -16,6 +16,7 @@ from stop_sampling import sample_stops
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, reached, slices
+from stopset.reach.stops.compiled import CompiledStops, Stopped
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.start import Start
@@ -29,7 +30,7 @@ from test_fmu_stops import braked, core_stop, cut_together, ramped, states
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
-from stop_arms_wide import cobot7_like
+from stop_arms_wide import cobot7_like, random_arm
 
 
 def marched(plant: Plant, q: Array, dq: Array, radius: float, h: float, energetic: bool = False, lasts: float = 1.5) -> Tube:
@@ -229,3 +230,29 @@ def test_a_point_whose_ways_are_not_known_has_the_sets_of_its_box() -> None:
     unknown = reached(s.plant.chain, q, r, cut._replace(left=np.full_like(cut.left, np.inf)), [5], [s.payload_com])[0]
     for a, b in zip(none, unknown, strict=True):
         assert np.array_equal(a, b)
+
+
+# ---- payloads
+
+
+def test_a_range_of_payloads_has_the_bound_of_its_parts_or_of_all_of_it_where_the_tool_gets_less_far() -> None:
+    """Beside all of the range at once and each part, bounded by themselves; neither is the better in every state."""
+    model = random_arm(4, 0)
+    bounds, rng, n = StopBounds.of(model, fast=True), np.random.default_rng(5), model.n
+    assert bounds.setting is not None
+    either, whole, *parts = (CompiledStops.of(s) for s in (bounds.setting, bounds.setting, *bounds.parts))
+    for core in (whole, *parts):
+        core.struct.ranged = 0
+    by_parts = 0
+    for k in range(27):
+        q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
+        if k < 20:
+            continue
+        a, b, heavier, lighter = (core.bound(q, dq) for core in (either, whole, *parts))
+        assert a is not None and b is not None and heavier is not None and lighter is not None
+        worst = Stopped(*(np.maximum(getattr(heavier, x), getattr(lighter, x)) for x in Stopped.__slots__))
+        less = bool(worst.tool[0] < b.tool[0])
+        by_parts += less
+        for name in Stopped.__slots__:
+            assert np.array_equal(getattr(a, name), getattr(worst if less else b, name))
+    assert 4 <= by_parts < 7

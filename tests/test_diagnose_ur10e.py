@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stopset.artifact import Model
@@ -14,7 +15,9 @@ from stopset.errors import RecordingError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose_model
+from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.identify.pipeline import Settings, identified, identify
+from stopset.offline.nominal.physical import pseudo_inertia
 from stopset.progress import silent
 from stopset.recording import read_recordings
 
@@ -23,6 +26,11 @@ SHOULDER, ELBOW = "shoulder_lift_joint", "elbow_joint"
 # everything that gravity, a tool or friction could be taken for; what needs a search of shapes is left out for its time:
 # the whole catalogue comes to the same answer in about three minutes
 ASKED = tuple(name for name, e in catalogue().items() if not e.shapes and e.enters != "input_delay")
+
+
+def possible(load: Ranked) -> bool:
+    """Whether a body can have these numbers."""
+    return bool(np.linalg.eigvalsh(pseudo_inertia(np.array([p.value for p in load.parameters.values()])))[0] > 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +80,7 @@ def test_beside_the_mounted_mass_nothing_is_named(short: Model, shared_data, fil
     assert [r.label for r in found.ranked] == ["payload"]
     m = found.ranked[0].parameters["m"]
     assert m.std is not None and abs(m.value - MOUNTED) < 1.96 * m.std and m.std < 0.06 * MOUNTED
+    assert possible(found.ranked[0])
 
 
 @pytest.mark.shared
@@ -100,16 +109,20 @@ def test_friction_grows_with_the_load_at_shoulder_and_elbow(model: Model) -> Non
 
 
 @pytest.mark.shared
-def test_a_load_asked_of_its_own_recording_lies_in_its_interval(shared_data) -> None:  # type: ignore[no-untyped-def]
-    """Without free recordings the description is all it is held against; what is usual of loads drew it to 0.9 +- 0.9 kg."""
+@pytest.mark.parametrize("file", ["payload_a", "payload_b"])
+def test_a_load_asked_of_its_own_recording_lies_in_its_interval(shared_data, file: str) -> None:  # type: ignore[no-untyped-def]
+    """Without free recordings the description is all it is held against; what is usual of loads drew it to 0.9 +- 0.9 kg, and a base tilted
+    by half a degree was named beside it, which took 2.6 % off the error of one joint that keeps fifty times its noise."""
     folder: Path = shared_data("ur10e")
-    model = identify(load_robot(folder / "robot.urdf"), [folder / "payload_b.parquet"]).model
-    found = diagnose_model(model, read_recordings(folder / "payload_b.parquet"), ["payload"])[0]
-    payload = next(r for r in found.ranked if r.effect == "payload")
+    model = identify(load_robot(folder / "robot.urdf"), [folder / f"{file}.parquet"]).model
+    found = diagnose_model(model, read_recordings(folder / f"{file}.parquet"))[0]
+    assert found.ranked[0].effect == "payload" and "base_tilt" not in [r.effect for r in found.ranked]
+    payload = found.ranked[0]
     m = payload.parameters["m"]
     assert m.std is not None and abs(m.value - MOUNTED) < 1.96 * m.std
     assert "against the robot's description alone" in payload.says and "record these motions without it" in payload.says
     assert m.value > 1.96 * m.std  # it is known to hang there
+    assert possible(payload)
 
 
 @pytest.mark.shared

@@ -17,7 +17,7 @@ from stopset.offline.diagnose.rows import prepare
 from stopset.offline.identify import constants
 from stopset.offline.nominal import parameter_uncertainty, prior
 from stopset.offline.update import staleness
-from stopset.reach.stops import failed, ramp, tubes
+from stopset.reach.stops import failed, tubes
 
 ROOT = Path(__file__).parents[1]
 # page, what it says, the numbers in it
@@ -34,7 +34,6 @@ SAID: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("diagnosis", "falls by {:g} % over the arm or by {:g} % at its own joint", (100 * limit.HELPS, 100 * limit.HELPS_THERE)),
     ("diagnosis", "A lag of less than {:g} ms is none", (1e3 * limit.SHORTEST_LAG,)),
     ("stops", "steps of 1/{:g} of the expected stop", (tubes.KNOTS.stop,)),
-    ("stops", "checked at {:g} points", (ramp.POINTS,)),
     ("uncertainty-sets", "differ by more than {:g} % of the torque error", (100 * staleness.SHARE,)),
     ("uncertainty-sets", "more than {:g} times that on the old ones", (staleness.GROWN,)),
     ("uncertainty-sets", "bound at {:g} %", (100 * guarantee.CONFIDENCE,)),

@@ -18,7 +18,7 @@ from stopset.monitor.certificates import Certificate, Numbers, Shelf
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import LEFT, SPENT, StopDesk, seen_by
-from stopset.monitor.stopworker import PreparedStops
+from stopset.reach.stops import StopBounds
 from stopset.sets import Box
 from stopset.types import Array
 from test_monitor_stops import prbt_like
@@ -93,7 +93,7 @@ class Hand:
 class Beside(Alone):
     """With a stated time that a proof takes, so that nothing hangs on this machine's."""
 
-    prepared = PreparedStops.of(prbt_like((0.0, 0.25)), None, None)
+    prepared = StopBounds.of(prbt_like((0.0, 0.25)), fast=True)
     cost = 0.0  # [s]
 
     def price(self, answer: Certificate) -> float:

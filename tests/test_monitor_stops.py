@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from stopset.artifact import save_model
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import StopDesk
-from stopset.monitor.stopworker import PreparedStops, answer_for
+from stopset.monitor.stopworker import answer_for
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, march_box
@@ -40,7 +41,7 @@ def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> Non
     s = prepared.setting
     assert s is not None
     x, r = np.concatenate([Q, DQ]), np.concatenate(BOX)
-    reported = {c: answer_for(PreparedStops(prepared, ()), c, x - r, x + r).numbers for c in ("0", "1", "1 guaranteed", "2")}
+    reported = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1", "1 guaranteed", "2")}
     assert all(x.provable.all() for x in reported.values())
     narrow = prepared.bound(Q, DQ, "0")
     assert narrow.forward is not None and narrow.time is not None
@@ -65,9 +66,9 @@ def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> Non
 
 def test_a_range_of_payloads_on_a_light_arm_is_bounded_by_its_parts_for_every_mass_of_it() -> None:
     """With the whole range at once the kinetic energy bounds the heaviest and the lightest arm together, several times too far."""
-    prepared, state = PreparedStops.of(ur10e_like(), None, None), np.concatenate([Q, 0.5 * DQ])
+    prepared, state = StopBounds.of(ur10e_like(), fast=True), np.concatenate([Q, 0.5 * DQ])
     lo, hi = state - 0.01, state + 0.01
-    said, whole = (answer_for(p, "0", lo, hi).numbers for p in (prepared, PreparedStops(prepared.whole, ())))
+    said, whole = (answer_for(p, "0", lo, hi).numbers for p in (prepared, replace(prepared, parts=())))
     assert said.proven and said.tcp < 0.8 * whole.tcp, "the parts say more than the whole"
     rng = np.random.default_rng(3)
     for k, mass in enumerate(np.linspace(*ur10e_like().domain.payload, 7)):
@@ -78,18 +79,21 @@ def test_a_range_of_payloads_on_a_light_arm_is_bounded_by_its_parts_for_every_ma
         found = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube_of(s, q, dq, r, v), 60, k)
         assert np.all(found.forward <= said.forward + 2e-6) and np.all(found.back <= said.back + 2e-6)
         assert np.all(found.time <= said.time + 5e-4) and found.tcp <= said.tcp
-    heavier, lighter = (answer_for(PreparedStops(p, ()), "0", lo, hi).numbers for p in prepared.parts)
+    heavier, lighter = (answer_for(replace(prepared, setting=p, parts=()), "0", lo, hi).numbers for p in prepared.parts)
     assert min(heavier.tcp, lighter.tcp) < max(heavier.tcp, lighter.tcp) == said.tcp, "one part alone would promise too much"
     assert np.all(said.forward == np.maximum(heavier.forward, lighter.forward)) and np.all(
         said.time == np.maximum(heavier.time, lighter.time)
     )
-    assert prepared.parts[0].setting.payload[0] == prepared.parts[1].setting.payload[1], "no mass between them"  # type: ignore[union-attr]
-    assert not PreparedStops.of(ur10e_like(), (2.0, 2.0), None).parts
+    (a, b), (c, d) = (
+        (x.plant.pi[-1, 0] - x.plant.pi_half[-1, 0], x.plant.pi[-1, 0] + x.plant.pi_half[-1, 0]) for x in prepared.parts
+    )
+    assert c <= 0.615 and b >= 0.615 + 12.5 and a <= d, "no mass outside, none between them"
+    assert not StopBounds.of(ur10e_like(), (2.0, 2.0), fast=True).parts
 
 
 def test_strong_coupling_costs_the_worker_little_and_the_loop_nothing(tmp_path: Path) -> None:
-    strong = StopBounds.of(ur5_like(), (4.75, 5.0), fast=True)
-    thorough = StopBounds.of(ur5_like(), (4.75, 5.0))
+    strong = StopBounds.of(ur5_like(), (5.0, 5.0), fast=True)
+    thorough = StopBounds.of(ur5_like(), (5.0, 5.0))
     rng, spent, layers = np.random.default_rng(77), {True: [], False: []}, []
     for _ in range(8):
         q, dq = rng.uniform(-2.3, 2.3, 6), rng.uniform(-2.3, 2.3, 6)

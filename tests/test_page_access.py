@@ -23,10 +23,11 @@ from stopset.cli.main import main
 from stopset.monitor.fleet import Fleet, FleetPage
 from stopset.monitor.layout import State
 from stopset.monitor.report import Turn, _stops
-from stopset.monitor.stopworker import PreparedStops, answer_for
+from stopset.monitor.stopworker import answer_for
 from stopset.monitor.viewer import View, ViewerPage, terminal
 from stopset.offline.report.page import Page as Report
 from stopset.offline.workbench import Loop, Server
+from stopset.reach.stops import StopBounds
 from test_page_security import Alive, twin
 
 AXE = Path(__file__).with_name("node_modules") / "axe-core" / "axe.min.js"
@@ -59,7 +60,7 @@ def moving(state: State) -> Alive:
     text = model_text(model)
     q = np.array([0.3, 0.5, 0.2, 0.9, 0.1, 0.4])
     x, r = np.concatenate([q, np.full(6, 0.2)]), np.full(12, 0.004)
-    prepared = PreparedStops.of(model, None, None)
+    prepared = StopBounds.of(model, fast=True)
     numbers = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1")}
     joints = model.joints
     left = [{"joint": joints[3], "samples": 3, "state": "q", "side": "above", "unit": "rad", "excess": 0.01}]

@@ -43,6 +43,7 @@ CORE = "core"
 PROOF = (
     "bound",
     "cartesian",
+    "drives",
     "energy",
     "expansion",
     "laws",

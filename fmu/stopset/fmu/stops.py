@@ -153,7 +153,7 @@ def _definition(setting: Setting) -> str:
     tool = stored("tool", setting.payload_com)
     torques = "0" if setting.torques.settled else _torques(setting, lines)
     whole = f"{{{{{arm}}}, {', '.join(plant)}, {{{', '.join(bent)}}}}}"
-    lines.append(f"const StopsetStops stopset_stops = {{{whole}, {lag}, {delay_spread!r}, {tool}, {torques}}};")
+    lines.append(f"const StopsetStops stopset_stops = {{{whole}, {lag}, {delay_spread!r}, {tool}, {torques}, 0}};")
     return "\n".join(lines) + "\n"
 
 

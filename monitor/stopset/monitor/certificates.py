@@ -5,7 +5,6 @@ What a certificate rests on, the model and the payload, does not change while a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,17 +37,6 @@ class Numbers:
         object.__setattr__(self, "proven", bool(self.provable.all()))
         if self.capsules is not None and len(self.capsules) > MOST_CAPSULES:
             object.__setattr__(self, "capsules", None)
-
-    @classmethod
-    def worst(cls, cases: Sequence[Numbers]) -> Numbers:
-        """What holds whichever of the ``cases``, all of them proven, is the true one."""
-        time, forward, back = (np.max([getattr(x, name) for x in cases], axis=0) for name in ("time", "forward", "back"))
-        swept = [x.capsules for x in cases if x.capsules is not None]
-        whole = np.concatenate(swept) if len(swept) == len(cases) else None
-        return cls(
-            time, forward, back, max(x.tcp for x in cases), np.all([x.provable for x in cases], axis=0),
-            next((x.why for x in cases if x.why), ""), min(x.margin for x in cases), whole,
-        )  # fmt: skip
 
     @classmethod
     def none(cls, n: int, why: str, margin: float = float("-inf")) -> Numbers:

@@ -12,58 +12,22 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any, cast
 
 import numpy as np
 
-from stopset.artifact import Model, load_model
+from stopset.artifact import load_model
 from stopset.errors import ModelFileError, StopsetError
 from stopset.monitor.certificates import Certificate, Numbers
 from stopset.monitor.config import Masses, Stops
-from stopset.monitor.payload import assumed
 from stopset.reach.stops import Category, StopBound, StopBounds
 from stopset.reach.stops.ramp import Ramp
 from stopset.types import Array
 
 SWITCH_S = 1e-4  # [s] a category may keep the others from running; a proof's Python parts last milliseconds
-LIGHTER = 2 / 3  # of a range of payloads is its lighter part: of 1/3, 1/2, 2/3 what bounds a UR10e-like arm most tightly
 PARENT_S = 0.5  # [s] between looks whether the daemon still lives
-
-
-@dataclass(frozen=True, slots=True)
-class PreparedStops:
-    """The bounds of a model over all that its flange may carry (`whole`), and over two parts of that range, the heavier first.
-
-    A payload is one mass throughout a stop, so it lies in one of the parts: the worst of their bounds holds, too. Where the kinetic
-    energy has to bound a stop it does so for the heaviest and the lightest arm at once, which is several times too far for each.
-    """
-
-    whole: StopBounds
-    parts: tuple[StopBounds, ...]
-
-    @classmethod
-    def of(cls, model: Model, payload: Masses | None, ramp: Ramp | None) -> PreparedStops:
-        """Raises `NotCovered` for a payload that the model does not cover."""
-        whole = StopBounds.of(model, payload, ramp=ramp, fast=True)
-        least, most = assumed(model, payload)
-        cut = least + LIGHTER * (most - least)
-        ranges = ((cut, most), (least, cut)) if most > least else ()
-        return cls(whole, tuple(StopBounds.of(model, between, ramp=ramp, fast=True) for between in ranges))
-
-    def numbers(self, category: Category, q: Array, dq: Array, q_radius: Array, dq_radius: Array) -> Numbers:
-        """The bound of the states within ``q_radius``, ``dq_radius`` (n,) of ``q`` [rad], ``dq`` [rad/s]."""
-        state, n = (q, dq, category, q_radius, dq_radius), len(q)
-        bound = self.whole.bound(*state)
-        whole, parts = numbers_of(bound, n), list[Numbers]()
-        if category != "0" or (bound.certified and bound.layer != "energy"):
-            return whole
-        for part in self.parts:
-            parts.append(numbers_of(part.bound(*state), n))
-            if not parts[-1].proven or parts[-1].tcp >= whole.tcp:
-                return whole
-        return Numbers.worst(parts) if parts else whole
 
 
 def work(
@@ -112,7 +76,7 @@ def asked(pipe: Connection) -> Iterator[Any]:
         yield request
 
 
-def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str = "") -> tuple[PreparedStops | None, str]:
+def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str = "") -> tuple[StopBounds | None, str]:
     """The bounds of a model, with this ``sha256`` if given, with the ramp that is stated; or None and why there are none."""
     model = load_model(model_path)
     ramp = None
@@ -126,19 +90,20 @@ def prepare(model_path: str, payload: Masses | None, stops: Stops, sha256: str =
                 f"{model_path} is another model now (SHA-256 {model.sha256[:16]}...) than the one that is watched ({sha256[:16]}...); "
                 "have the monitor read it anew (SIGHUP), or restore it"
             )
-        return PreparedStops.of(model, payload, ramp), ""
+        return StopBounds.of(model, payload, ramp=ramp, fast=True), ""
     except StopsetError as e:  # a payload that the model does not cover, say: the consumers must hear it from every message
         return None, str(e)
 
 
-def answer_for(prepared: PreparedStops, category: str, lo: Array, hi: Array) -> Certificate:
+def answer_for(prepared: StopBounds, category: str, lo: Array, hi: Array) -> Certificate:
     """The bound for every measured state ``lo <= (q, dq) <= hi``, (2n,) each; whatever goes wrong is its reason to have none."""
     begin, spent, n = time.monotonic(), time.thread_time(), len(lo) // 2
     middle = 0.5 * (lo + hi)
     # the halves round: what they leave out of the box is put back
     radius = np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
     try:
-        numbers = prepared.numbers(cast(Category, category), middle[:n], middle[n:], radius[:n], radius[n:])
+        bound = prepared.bound(middle[:n], middle[n:], cast(Category, category), radius[:n], radius[n:])
+        numbers = numbers_of(bound, n)
     except StopsetError as e:
         numbers = Numbers.none(n, str(e))
     except Exception as e:  # noqa: BLE001 - a thread that died would leave its category without a word for ever

@@ -881,7 +881,10 @@ typedef struct {
     double delay_spread;                /* [s] the brakes' delays, less lag, differ by no more; negative: they are independent */
     const double *tool;          /* (3,) [m] in the last link's frame */
     const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
+    int32_t ranged;              /* pi_half is a range of payloads, which two parts of it may bound more tightly */
 } StopsetStops;
+/* pi, half (n, 10) of a part (0: the heavier, 1) of what pi_half allows: every payload of it lies in one of the two. */
+STOPSET_API void stopset_payload_part(const StopsetPlant *plant, int part, double *pi, double *half);
 
 typedef struct {
     double *time, *forward, *back, *speed; /* (n,) [s], [rad] both >= 0, [rad/s] largest on the way */
@@ -913,6 +916,10 @@ STOPSET_API int stopset_friction_over(const StopsetPlant *plant, const StopsetTo
 STOPSET_API int64_t stopset_stop_room(int n);
 /* The stop from every state in a box (n,) [rad, rad/s]. 0: bounded; 1: not provable, then `out` holds nothing of use; negative: a code. */
 STOPSET_API int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out);
+/* Largest torque `asked` (n,) [N m] of links and rotors along a ramp that works from any state of the box (n,) [rad, rad/s], within `tube`,
+ * the ramp's own of so many steps. 0, or a code. */
+STOPSET_API int stopset_ramp_torque(const StopsetPlant *plant, const StopsetRamp *ramp, const StopsetStates *from, const StopsetTube *tube,
+                                    int64_t steps, double *asked);
 /* The same (n,) [rad, rad/s] of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of the bound. */
 STOPSET_API int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *ramp, int stays, const StopsetStates *from, double *work,
                                      const StopsetBound *out);

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, reached, slices, swept_capsules
+from stopset.reach.stops.compiled import ramp_torque
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import TUBES, failed_stops
@@ -60,6 +61,7 @@ class StopBounds:
     fast: bool = False
     extrapolate_state: bool = False
     tubes: tuple[int, int] = TUBES
+    parts: tuple[Setting, ...] = ()  # of the payload's range, in a loop: see `_tubes_from`
 
     @classmethod
     def of(
@@ -72,7 +74,8 @@ class StopBounds:
         numbers all the same, marked and not certified, instead of "not covered".
         """
         setting = setting_of(model, payload, payload_com, extrapolate=extrapolate.payload)
-        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate.state)
+        parts = setting.parts if fast and setting is not None else ()
+        return cls(model, setting, ramp or ramp_of(model), pieces, fast, extrapolate.state, parts=parts)
 
     def bound(
         self, q: ArrayLike, dq: ArrayLike, category: Category = "0", q_radius: Array | None = None, dq_radius: Array | None = None
@@ -149,12 +152,34 @@ class StopBounds:
 
     def _power_off(self, start: Start) -> StopBound:
         assert self.setting is not None
-        tubes = tubes_of(self.setting, start, self.pieces, fast=self.fast)
+        tubes = self._tubes_from(start)
         if tubes[-1].end != OK:
             return self._refused("0", no_certificate(self.model.joints, self.margin(start.q), self._reach()), start.q)
         margin = np.min([t.margin for t in tubes], axis=0)
         time = np.max([stopped_after(t) for t in tubes], axis=0)
         return self._bound_of("0", tubes, time, start, margin, (*self.setting.assumptions, REST))
+
+    def _tubes_from(self, start: Start) -> list[Tube]:
+        """Tubes of a STOP 0. A payload is one mass throughout a stop, so it lies in one of two parts of its range: where the kinetic energy has to
+        bound the heaviest and the lightest arm at once, several times too far for each, those of both parts hold it, too."""
+        assert self.setting is not None
+        whole = tubes_of(self.setting, start, self.pieces, fast=self.fast)
+        proven = whole[-1].end == OK
+        if not self.parts or (proven and not any(t.energetic for t in whole)):
+            return whole
+        far, found = self._tool_travel(whole, start) if proven else np.inf, list[Tube]()
+        for part in self.parts:
+            tubes = tubes_of(part, start, self.pieces, fast=self.fast)
+            if tubes[-1].end != OK or self._tool_travel(tubes, start) >= far:
+                return whole
+            found += tubes
+        return found
+
+    def _tool_travel(self, tubes: list[Tube], start: Start) -> float:
+        """[m] how far the tool gets."""
+        assert self.setting is not None
+        chain, tool = self.model.robot.chain, self.setting.payload_com
+        return max(reached(chain, start.q, start.q_radius, slices(t, SLICES), [self.model.n - 1], [tool])[0].far for t in tubes)
 
     def refused_for(self, category: Category, margin: Array, q: Array) -> StopBound:
         """No number, as brakes and dry friction do not surely hold the arm: their margins (n,) [N m] are at most 0."""
@@ -178,11 +203,8 @@ class StopBounds:
         time = ramp_time(ramp, speeds.lo, speeds.hi)
         if time is None:
             return self._refused(category, NO_REST, q)
-        extra = plant.coulomb_hi + plant.viscous_hi * start.fastest + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
-        bodies = (plant.pi - plant.pi_half, plant.pi + plant.pi_half)
-        # the fastest states of the box, each joint in its direction, ask for more than its middle
-        outward = start.dq + np.sign(start.dq) * start.dq_radius
-        refusal = infeasible(self.model, ramp, bodies, plant.rotor, extra, q, outward)
+        extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
+        refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube) + extra)
         if refusal:
             return self._refused(category, refusal, q)
         if category == "2":

@@ -14,7 +14,8 @@ from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.friction import torques_struct
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.setting import Setting
-from stopset.reach.stops.tube import plant_struct
+from stopset.reach.stops.start import Start
+from stopset.reach.stops.tube import Plant, Tube, plant_struct
 from stopset.reach.stops.types import Category
 from stopset.types import Array
 
@@ -50,12 +51,9 @@ class CompiledStops:
         plant, tool = plant_struct(s.plant), given(s.payload_com)
         lag = ffi.NULL if s.lag is None else view(given(s.lag))
         delay_spread = -1.0 if s.delay_spread is None else s.delay_spread
-        struct = ffi.new("StopsetStops *", (plant[0][0], lag, delay_spread, view(tool), torques))
-        arrays, numbers = ({}, {}) if ramp is None else ramp_fields(s, ramp)
-        held = {k: given(x) for k, x in arrays.items()}
-        braking = ffi.NULL
-        if ramp is not None:
-            braking = ffi.new("StopsetRamp *", {k: view(x) for k, x in held.items()} | numbers)
+        ranged = int(s.payload[0] < s.payload[1])
+        struct = ffi.new("StopsetStops *", (plant[0][0], lag, delay_spread, view(tool), torques, ranged))
+        braking, held = (ffi.NULL, None) if ramp is None else _ramp_struct(s, ramp)
         return cls(s, ramp, struct, braking, (plant, torques, effects, lag, tool, held), np.empty(lib.stopset_stop_room(n)))
 
     def bound(
@@ -97,3 +95,26 @@ def ramp_fields(setting: Setting, ramp: Ramp) -> tuple[dict[str, Array], dict[st
         "window": ramp.window, "pace": list(ramp.pace), "settle": -1.0 if ramp.settle is None else ramp.settle,
     }  # fmt: skip
     return arrays, numbers
+
+
+def _ramp_struct(setting: Setting, ramp: Ramp) -> tuple[Any, Any]:
+    """``StopsetRamp``, and what must live as long."""
+    arrays, numbers = ramp_fields(setting, ramp)
+    held = {k: given(x) for k, x in arrays.items()}
+    return ffi.new("StopsetRamp *", {k: view(x) for k, x in held.items()} | numbers), held
+
+
+def ramp_torque(setting: Setting, plant: Plant, ramp: Ramp, start: Start, tube: Tube) -> Array:
+    """(n,) [N m] the largest torque of links and rotors that a ramp that works asks of each drive, from any state of ``start``: of all
+    payloads, rotors, delays and values that are known as ranges. ``tube``: the ramp's own from there."""
+    braking, _stored = _ramp_struct(setting, ramp)
+    struct, _held = plant_struct(plant)
+    states = [given(x) for x in (start.q, start.dq, start.q_radius, start.dq_radius)]
+    lines = {k: given(getattr(tube, k)) for k in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi")}
+    out, n = np.empty(len(plant.rotor)), len(plant.rotor)
+    if any(x.shape != (n,) for x in states) or lines["d_lo"].shape != (len(tube.t), n):
+        raise ValueError(f"a ramp of {lines['d_lo'].shape} from states {[x.shape for x in states]} for {n} joints")
+    box = ffi.new("StopsetStates *", tuple(view(x) for x in states))
+    its_tube = ffi.new("StopsetTube *", {k: view(x) for k, x in lines.items()})
+    check(lib.stopset_ramp_torque(struct, braking, box, its_tube, len(tube.t) - 1, view(out)))
+    return out

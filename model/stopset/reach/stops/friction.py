@@ -127,6 +127,11 @@ class Torques:
         """Whether laws look at most joints, as they do by the rigid body: then a guessed region mostly has to be mended."""
         return self.needs != 0 or 2 * len({x.joint for x in self.laws if x.roams}) > len(self.gear)
 
+    def carrying(self, pi: Array, half: Array) -> Torques:
+        """The same of an arm with ``pi +- half`` (n, 10), a part of what it may carry: what bounds all of that bounds the part."""
+        out = replace(self, body=replace(self.body, pi=pi, half=half))
+        return replace(out, _core=_core_of(out))
+
     def over(self, q: Box, speed: Array) -> Friction:
         """At angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]. Raises `NotCovered` where a law has no bound."""
         n = len(speed)

@@ -11,22 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, product
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
 from stopset.reach.stops.tube import Tube
-from stopset.robot.rigid import torques
 from stopset.sets import Box
 from stopset.types import Array
 
 KEY = "stop1_ramp"  # in a model's provenance
 KNOTS = 60
-POINTS = 40  # of the torque check, from one joint's rest to the next's
 STILL = 0.01  # [rad/s] a controlled joint that stays slower than this is at rest
 LONGEST = 60.0  # [s] no ramp and no time until power-off is longer
 STEEPEST, QUICKEST = 1e4, 10.0  # [rad/s^2] of a ramp; share of its speed that a failed drive can reach
@@ -201,27 +197,9 @@ def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array | None:
     return ramp.control.hi + (ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo) + ramp.after
 
 
-def infeasible(
-    model: Model, ramp: Ramp, bodies: tuple[Array, Array], rotor: Array, extra: Array, q: Array, dq: Array
-) -> str | None:
-    """Whether the drives have the torque for the ramp, checked densely; a sentence if not, None if they have.
-
-    ``bodies``: standard parameters at both ends of the payload's range; ``extra``: (n,) friction, viscous and U torque on
-    top [N m]. Torque is smooth between the times at which a joint comes to rest; between two points checked it is taken to
-    change by as much as between them.
-    """
+def infeasible(model: Model, asked: Array) -> str | None:
+    """A sentence if a drive has not the torque (n,) [N m] that is ``asked`` of it, None if all have."""
     limit = model.robot.torque_limit
-    lasts = ramp.value.lo if ramp.kind == "time" else np.maximum(np.abs(dq), 1e-9) / ramp.value.hi
-    asked = np.zeros(model.n)
-    borders = np.unique(np.concatenate([[0.0], lasts[np.abs(dq) > 0]]))
-    for begin, end in pairwise(borders):
-        moving = (lasts > begin) & (np.abs(dq) > 0)
-        for pi, pace in product(bodies, sorted({0.0, *ramp.pace})):
-            times = np.linspace(begin, end, POINTS)
-            here, speed, acc = _slowed(q, dq, lasts, times, moving, pace)
-            tau = torques(model.robot.chain, pi, here, speed, acc) + rotor * acc
-            jump = np.abs(np.diff(tau, axis=0)).max(axis=0)
-            asked = np.maximum(asked, np.abs(tau).max(axis=0) + jump + extra)
     worst = int(np.argmin(limit - asked))
     if asked[worst] <= limit[worst]:
         return None
@@ -229,12 +207,3 @@ def infeasible(
         f"the ramp asks {asked[worst]:.3g} N m of {model.joints[worst]}, its drive has {limit[worst]:.3g} N m: not credible; use a "
         f"gentler ramp or the guaranteed stop"
     )
-
-
-def _slowed(q: Array, dq: Array, lasts: Array, t: Array, moving: NDArray[np.bool_], pace: float) -> tuple[Array, Array, Array]:
-    """(N, n) angles, speeds and accelerations ``t`` (N,) seconds into the ramp of the joints ``moving``."""
-    u = np.minimum(t[:, None] / lasts, 1.0)
-    path_time = lasts * (u - 0.5 * u * u)
-    here, speed = q + dq * (path_time + 0.5 * pace * path_time * path_time), dq * (1.0 - u) * (1.0 + pace * path_time)
-    acc = np.where(moving, dq * (pace * (1.0 - u) ** 2 - (1.0 + pace * path_time) / lasts), 0.0)
-    return here, speed, acc

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Brakes, Model
+from stopset.core.library import lib, view
 from stopset.effects.bound import SIGMAS
 from stopset.errors import NotCovered
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, Torques, described, misreadings, torques_of
 from stopset.reach.stops.payload import bodies, weighed
-from stopset.reach.stops.tube import Plant
+from stopset.reach.stops.tube import Plant, plant_struct
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 from stopset.types import Array
@@ -76,6 +77,18 @@ class Setting:
     def truth(self) -> Box:
         """(2n,) the true state less the measured one."""
         return Box(-self.noise.hi, -self.noise.lo)
+
+    @property
+    def parts(self) -> tuple[Setting, ...]:
+        """Two settings, the heavier first, of which every payload of the range lies in one; none where it is one payload."""
+        if self.payload[0] == self.payload[1]:
+            return ()
+        out, (struct, _held) = [], plant_struct(self.plant)
+        for k in range(2):
+            pi, half = np.empty_like(self.plant.pi), np.empty_like(self.plant.pi_half)
+            lib.stopset_payload_part(struct, k, view(pi), view(half))
+            out.append(replace(self, plant=self.plant._replace(pi=pi, pi_half=half), torques=self.torques.carrying(pi, half)))
+        return tuple(out)
 
     def near(self, plant: Plant, q: Box, speed: Array) -> Plant:
         """``plant`` with what the effects give at angles in ``q`` (n,) [rad], no joint faster than ``speed`` (n,) [rad/s]."""

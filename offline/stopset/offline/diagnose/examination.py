@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from stopset.effects import Effect, Fitted, get
+from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Parameter, Ranked
@@ -15,7 +15,8 @@ from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
-from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES, deviations, drives_scale
+from stopset.offline.diagnose.explain.uncertainty import deviations, drives_scale
+from stopset.offline.diagnose.load import of_a_body, says
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
@@ -24,12 +25,6 @@ from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
-# measured on a UR10e that carried nothing (benchmarks/payload_limits.py): 0.8 kg too much by its description, 2.2 to 0.3 kg with its torque
-# 15 % too small or too large
-WEIGHED_ALONE = (
-    " It was weighed against the robot's description alone, whose masses and torque scale decide as much: record these motions without it, "
-    "`stopset identify` from that, and diagnose this recording against that model."
-)
 INNER = " These errors are within the motions, whatever scale their friction has: how it scatters between them hides what this explains."
 
 
@@ -142,36 +137,20 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     for k, claim in enumerate(found.claims):
         c = claim.scored.candidate
         taken = steps.get(k, Step(error, error, "", c.joints))
-        given = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
+        fitted = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
+        given = dict(fitted if objections[k] else of_a_body(c.effect, fitted))
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         surplus = bool(why) and not objections[k]
-        says = _says(c.effect, given, described=not engine.modelled)
+        words = says(c.effect, fitted, given, described=not engine.modelled)
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
-                float(taken.stated[1][taken.joint]), given, c.effect.look_at, says + (INNER if taken.inner else ""),
+                float(taken.stated[1][taken.joint]), given, c.effect.look_at, words + (INNER if taken.inner else ""),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus,
             )
         )  # fmt: skip
         error = error if why else taken.after
     return tuple(out)
-
-
-def _says(effect: Effect, numbers: Mapping[str, Parameter], *, described: bool) -> str:
-    """The effect's sentence; of a payload also what it weighs, in an interval, where its centre is, and what would weigh it better.
-
-    ``described``: it is held against the robot's description, not against a model from recordings without it.
-    """
-    m = numbers["m"] if effect.carried else None
-    if m is None or m.std is None:
-        return effect.says
-    half = TWO_SIDES * m.std
-    text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
-    alone = WEIGHED_ALONE if described else ""
-    if abs(m.value) < half:
-        return f"{text}.{alone}"
-    centre = ", ".join(f"{numbers[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
-    return f"{text}, centre at ({centre}) m in the last link's frame.{alone}"
 
 
 def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:

@@ -152,7 +152,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
-    ("stop ramp", ramp, "KNOTS POINTS STILL"),
+    ("stop ramp", ramp, "KNOTS STILL"),
     ("stop gravity", gravity, "GRID OUTWARD"),
     ("stop tube", tube, "PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
     ("stop tubes", tubes, "KNOTS ENERGY_KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),

@@ -12,7 +12,7 @@ enum { CLOSING = STOPSET_STOP_CLOSING, ENERGY_CLOSING = STOPSET_STOP_ENERGY_CLOS
 enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
 enum { REGIONS = 5, COARSE = 4 }; /* that a tube is tried in; times fewer knots of the tube that finds one */
 enum { LONG = KNOTS * PATIENCE + CLOSING, LONG_ENERGY = ENERGY_KNOTS * MORE_PATIENCE + ENERGY_CLOSING, STEPS = LONG > LONG_ENERGY ? LONG : LONG_ENERGY };
-static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone */
+static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone, or wider than it */
 
 int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + SLICES * (7 * n + 6 * n + 8) + 1; }
 
@@ -260,9 +260,12 @@ void stops_begin(StopAsk *a, double *work, const StopsetBound *out) {
     out->tool[0] = out->tool[1] = 0.0;
 }
 
-int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out) {
+enum { NOWHERE, BY_SPEEDS, BY_ENERGY }; /* what bounds a stop */
+
+/* Tubes of all windows of the brakes' delay, and what shows that they come to rest. */
+static int rests(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out) {
     const int n = stops->plant.arm.n;
-    if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    int by = BY_SPEEDS;
     double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN];
     Region region[2];
     StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
@@ -272,9 +275,55 @@ int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, doub
     for (int k = 0; k < 2; k++) stops_guess(&a, region + k); /* the kinetic energy's tubes lead farther */
     /* the latest brakes are the hardest: what cannot be proved is known at once */
     for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {
-        if (!stops_march(&a, lo[k], hi[k], 0, region, fastest) && !stops_march(&a, lo[k], hi[k], 1, region + 1, fastest)) return 1;
+        if (!stops_march(&a, lo[k], hi[k], 0, region, fastest)) {
+            if (!stops_march(&a, lo[k], hi[k], 1, region + 1, fastest)) return NOWHERE;
+            by = BY_ENERGY;
+        }
         for (int i = 0; i < n; i++) out->time[i] = most(out->time[i], stops_rests_after(&a, i));
         stops_widen(&a, from->q, from->q_radius, fastest, out);
     }
+    return by;
+}
+
+static const double LIGHTER = 2.0 / 3.0; /* of a range is its lighter part: of 1/3, 1/2, 2/3 what bounds a UR10e-like arm most tightly */
+
+void stopset_payload_part(const StopsetPlant *plant, int part, double *pi, double *half) {
+    const double middle = part ? LIGHTER - 1.0 : LIGHTER, share = (part ? LIGHTER : 1.0 - LIGHTER) + TINY; /* so much that rounding leaves nothing between them */
+    for (int k = 0; k < 10 * plant->arm.n; k++) {
+        pi[k] = plant->arm.pi[k] + middle * plant->pi_half[k];
+        half[k] = share * plant->pi_half[k];
+    }
+}
+
+static int part_rests(const StopsetStops *stops, int part, const StopsetStates *from, double *work, const StopsetBound *out) {
+    StopsetStops some = *stops;
+    double pi[10 * SN], half[10 * SN];
+    stopset_payload_part(&stops->plant, part, pi, half);
+    some.plant.arm.pi = pi;
+    some.plant.pi_half = half;
+    return rests(&some, from, work, out);
+}
+
+/* The worse of two bounds, into the first. */
+static void worse(int n, const StopsetBound *a, const StopsetBound *b) {
+    double *const into[] = {a->time, a->forward, a->back, a->speed, a->tool}, *const of[] = {b->time, b->forward, b->back, b->speed, b->tool};
+    for (int x = 0; x < 5; x++)
+        for (int i = 0; i < (x < 4 ? n : 2); i++) into[x][i] = most(into[x][i], of[x][i]);
+}
+
+int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out) {
+    const int n = stops->plant.arm.n;
+    if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
+    const int by = rests(stops, from, work, out);
+    if (by == BY_SPEEDS || !stops->ranged) return by == NOWHERE;
+    /* The kinetic energy bounds the heaviest and the lightest arm at once, several times too far for each. A payload is one mass throughout a stop,
+     * so it lies in one of the parts, and the worse of their bounds holds, too: taken where the tool gets less far. */
+    const double far = by == NOWHERE ? STOPS_INF : out->tool[0];
+    double room[2][4][SN], tool[2][2];
+    const StopsetBound part[2] = {{room[0][0], room[0][1], room[0][2], room[0][3], tool[0]}, {room[1][0], room[1][1], room[1][2], room[1][3], tool[1]}};
+    for (int k = 0; k < 2; k++)
+        if (!part_rests(stops, k, from, work, part + k) || tool[k][0] >= far) return by == NOWHERE;
+    stops_begin(&(StopAsk){stops, *from, 0.0, 0, 0, {0}, 0}, work, out);
+    for (int k = 0; k < 2; k++) worse(n, out, part + k);
     return STOPSET_OK;
 }

@@ -17,9 +17,11 @@ static const double HAIR = 1e-12;   /* of evaluating a cubic, relative */
 static const double SHORT = 1e-7;   /* of the path that is left: no grid is for less */
 static const double ROOMY = 1e-3;   /* by which the last grid is wider than the length found, so that the stop ends on it */
 
-/* Torque of body `side` and joint i: u a + x b + c, with x = s'^2, u = s''. */
+enum { SIDES = 4 }; /* of what is known as ranges: the least payload with the least and the largest rotors, then the largest payload */
+
+/* Torque of arm `side` and joint i: u a + x b + c, with x = s'^2, u = s''. */
 typedef struct {
-    double a[2][SN], b[2][SN], c[2][SN];
+    double a[SIDES][SN], b[SIDES][SN], c[SIDES][SN];
 } Lines;
 
 /* x at the knots, `step` apart in s. */
@@ -134,11 +136,11 @@ static void lines_at(const Task *t, double s, Lines *out) {
     memcpy(a + n, first, (size_t)n * sizeof *a);
     memcpy(a + 2 * n, second, (size_t)n * sizeof *a);
     memcpy(v + 2 * n, first, (size_t)n * sizeof *v);
-    for (int side = 0; side < 2; side++) {
-        arm.pi = t->body[side];
-        stopset_torques(&arm, 3, q, v, a, tau);
+    for (int side = 0; side < SIDES; side++) {
+        arm.pi = t->body[side / 2];
+        if (side % 2 == 0) stopset_torques(&arm, 3, q, v, a, tau);
         for (int i = 0; i < n; i++) {
-            const double rotor = t->stops->plant.rotor[i];
+            const double rotor = t->stops->plant.rotor[i] + (side % 2 ? 1.0 : -1.0) * t->stops->plant.rotor_half[i];
             out->c[side][i] = tau[i];
             out->a[side][i] = tau[n + i] - tau[i] + rotor * first[i];
             out->b[side][i] = tau[2 * n + i] - tau[i] + rotor * second[i];
@@ -160,7 +162,7 @@ typedef struct {
 
 static Allowed allowed(const Task *t, const Lines *here, const Lines *next, double x, double step, const double room[SN]) {
     Allowed out = {-STOPS_INF, STOPS_INF};
-    for (int side = 0; side < 2; side++)
+    for (int side = 0; side < SIDES; side++)
         for (int i = 0; i < t->n; i++) {
             cut(here->a[side][i], here->b[side][i] * x + here->c[side][i], room[i], &out.lo, &out.hi);
             if (next) cut(next->a[side][i] + 2.0 * step * next->b[side][i], next->b[side][i] * x + next->c[side][i], room[i], &out.lo, &out.hi);
@@ -254,7 +256,7 @@ static int look(const Task *t, double s0, double rate, double begin, const Profi
                 arm.pi = t->body[side];
                 stopset_torques(&arm, 1, q, v, a, tau);
                 for (int i = 0; i < n; i++) {
-                    const double used = size_of(tau[i] + plant.rotor[i] * a[i]);
+                    const double used = size_of(tau[i] + plant.rotor[i] * a[i]) + plant.rotor_half[i] * size_of(a[i]);
                     p->room = least(p->room, bounded * t->ramp->limit[i] - used - rubbing(&plant, i, size_of(v[i])));
                 }
             }

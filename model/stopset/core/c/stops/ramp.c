@@ -8,7 +8,7 @@
 
 #include "bound.h"
 
-enum { KNOTS = 60, POINTS = 40 }; /* of a ramp; of its torque between two joints' rest */
+enum { KNOTS = 60 }; /* of a ramp */
 enum { FEW_SLICES = 4, SLICES = 8 }; /* by when a monitored ramp is left: where joint speeds say enough; where the kinetic energy has to help */
 
 static double clip(double x, double lo, double hi) { return x < lo ? lo : x > hi ? hi : x; }
@@ -84,79 +84,14 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
     }
 }
 
-/* A time of the ramp between two joints' rest, at one of its paces, with one of the payloads. */
-typedef struct {
-    double begin, end, pace;
-    const double *pi;
-} Stretch;
-
-/* Largest torques of links and rotors along the ramp of the joints that still move on a stretch, and how much they change from one point
- * to the next, on top of `asked`. */
-static void ask(const StopAsk *a, const Stretch *stretch, const double lasts[SN], const double extra[SN], double asked[SN]) {
-    const double begin = stretch->begin, end = stretch->end, pace = stretch->pace;
-    const int n = a->stops->plant.arm.n;
-    StopsetArm arm = a->stops->plant.arm;
-    double q[POINTS * SN], v[POINTS * SN], acc[POINTS * SN], tau[POINTS * SN];
-    arm.pi = stretch->pi;
-    for (int k = 0; k < POINTS; k++) {
-        const double t = k + 1 < POINTS ? begin + k * ((end - begin) / (POINTS - 1)) : end;
-        for (int i = 0; i < n; i++) {
-            const double u = least(t / lasts[i], 1.0), path_time = lasts[i] * (u - 0.5 * u * u);
-            const int at = k * n + i, moves = lasts[i] > begin && size_of(a->from.dq[i]) > 0.0;
-            q[at] = a->from.q[i] + a->from.dq[i] * (path_time + 0.5 * pace * path_time * path_time);
-            v[at] = a->from.dq[i] * (1.0 - u) * (1.0 + pace * path_time);
-            acc[at] = moves ? a->from.dq[i] * (pace * ((1.0 - u) * (1.0 - u)) - (1.0 + pace * path_time) / lasts[i]) : 0.0;
-        }
+/* Whether the drives have the torque for the ramp from every state of the box, friction at its largest speeds on top. */
+static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *p, const double fastest[SN]) {
+    double asked[SN];
+    if (stopset_ramp_torque(p, r, &a->from, &a->tube, a->made, asked)) return 0;
+    for (int i = 0; i < p->arm.n; i++) {
+        const double extra = p->coulomb_hi[i] + p->viscous_hi[i] * fastest[i] + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
+        if (!(asked[i] + extra <= r->limit[i])) return 0;
     }
-    stopset_torques(&arm, POINTS, q, v, acc, tau);
-    for (int i = 0; i < n; i++) {
-        double largest = 0.0, jump = 0.0;
-        for (int k = 0; k < POINTS; k++) {
-            tau[k * n + i] += a->stops->plant.rotor[i] * acc[k * n + i];
-            largest = most(largest, size_of(tau[k * n + i]));
-            if (k) jump = most(jump, size_of(tau[k * n + i] - tau[(k - 1) * n + i]));
-        }
-        asked[i] = most(asked[i], largest + jump + extra[i]);
-    }
-}
-
-/* Whether the drives have the torque for the ramp of the fastest states of the box, checked densely between the times at which joints come to rest. */
-static int feasible(const StopAsk *asked_for, const StopsetRamp *r, const StopsetPlant *p) {
-    const int n = p->arm.n;
-    double fastest[SN];
-    StopAsk at_fastest = *asked_for, *a = &at_fastest;
-    for (int i = 0; i < n; i++) {
-        const double v = a->from.dq[i], off = a->from.dq_radius[i];
-        fastest[i] = v > 0.0 ? v + off : v < 0.0 ? v - off : 0.0;
-    }
-    a->from.dq = fastest;
-    double lasts[SN], border[SN + 1], extra[SN], asked[SN] = {0}, body[2][10 * SN];
-    const double paces[3] = {0.0, r->pace[0], r->pace[1]};
-    int borders = 1;
-    border[0] = 0.0;
-    for (int i = 0; i < n; i++) {
-        const double fast = size_of(asked_for->from.dq[i]) + a->from.dq_radius[i];
-        lasts[i] = r->timed ? r->value_lo[i] : most(size_of(a->from.dq[i]), 1e-9) / r->value_hi[i];
-        extra[i] = p->coulomb_hi[i] + p->viscous_hi[i] * fast + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
-        if (!(size_of(a->from.dq[i]) > 0.0)) continue;
-        int k = 0;
-        while (k < borders && border[k] < lasts[i]) k++;
-        if (k < borders && border[k] == lasts[i]) continue;
-        for (k = borders++; border[k - 1] > lasts[i]; k--) border[k] = border[k - 1]; /* border[0] is 0 */
-        border[k] = lasts[i];
-    }
-    for (int k = 0; k < 10 * n; k++) {
-        body[0][k] = p->arm.pi[k] - p->pi_half[k];
-        body[1][k] = p->arm.pi[k] + p->pi_half[k];
-    }
-    for (int k = 0; k + 1 < borders; k++)
-        for (int side = 0; side < 2; side++)
-            for (int c = 0; c < 3; c++) {
-                const Stretch stretch = {border[k], border[k + 1], paces[c], body[side]};
-                ask(a, &stretch, lasts, extra, asked);
-            }
-    for (int i = 0; i < n; i++)
-        if (!(asked[i] <= r->limit[i])) return 0;
     return 1;
 }
 
@@ -228,7 +163,7 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
         const double fast = most(size_of(dq[i] - dq_radius[i]), size_of(dq[i] + dq_radius[i]));
         out->time[i] = r->control_hi[i] + (r->timed ? r->value_hi[i] : fast / r->value_lo[i]) + after;
     }
-    if (!feasible(&a, r, &plant)) return 1;
+    if (!feasible(&a, r, &plant, fastest)) return 1;
     if (stays)
         for (int64_t k = n; k < (a.made + 1) * n; k++) {
             a.tube.d_lo[k] -= r->window;

@@ -58,27 +58,40 @@ def judged(
 
     A delay is judged against ``now`` with its joint's stamps held: far off, they would imitate a good part of it.
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
-    Beside other claims against a model from other recordings, whose base is not free, it must show.
+    Beside other claims against a model from other recordings, whose base is not free, it must show; so must a second one of its kind where
+    its joint keeps more than its noise: two of them share what one description is off by, as half a degree of tilt beside a load.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
     What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
     too, it must stand out.
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
-    if candidate.effect.absorbed and not (earlier and now.engine.modelled):
-        return Step(before, after, "", candidate.joints)
     inner = Step(before, after, "", candidate.joints, inner=True)
-    whole = replace(inner, why=_too_little(replace(inner, inner=False), candidate, earlier, left), inner=False)
+    whole = replace(inner, inner=False)
+    second = _keeps_more(whole, left) and any(c.effect.absorbed for c in earlier)
+    if candidate.effect.absorbed and not (second or (earlier and now.engine.modelled)):
+        return whole
+    whole = replace(whole, why=_too_little(whole, candidate, earlier, left))
     hidden = whole.why and candidate.effect.role == "friction"
     return inner if hidden and not _too_little(inner, candidate, earlier, left) else whole
 
 
+def _lowered(x: Step) -> tuple[int, float]:
+    """At which of its joints the largest share of the error goes, and that share."""
+    where = list(x.joints) or list(range(len(x.stated[0])))
+    share = 1.0 - x.stated[1][where] / x.stated[0][where]
+    return where[int(np.argmax(share))], float(np.max(share))
+
+
+def _keeps_more(x: Step, left: Sequence[float]) -> bool:
+    """Whether that joint keeps more than its noise whatever is claimed."""
+    return len(left) > 0 and left[_lowered(x)[0]] > limit.QUIET
+
+
 def _too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
     """Why an error falls too little, empty where it does not."""
-    where = list(candidate.joints) or list(range(len(x.stated[0])))
-    share = 1.0 - x.stated[1][where] / x.stated[0][where]
-    lowered, expected, beside = float(np.max(share)), _least(candidate, earlier), ""
-    keeps = x.inner or (len(left) > 0 and left[where[int(np.argmax(share))]] > limit.QUIET)
+    lowered, expected, beside = _lowered(x)[1], _least(candidate, earlier), ""
+    keeps = x.inner or _keeps_more(x, left)
     if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
     why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"

@@ -168,11 +168,28 @@ def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothe
 
 
 def _needed(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper) -> tuple[Hypothesis, list[Claim]]:
-    """The claims that still stand when tried against all the others; what a later one made needless is dropped."""
+    """The claims that still stand when tried against all the others, `_foremost_first`; what a later one made needless is dropped."""
     retained = list(claims)
     for claim in claims[:-1]:
         c = claim.scored.candidate
         if scores(now.without(c.key), [c], hyper)[0].score < limit.THRESHOLD:
             now = now.without(c.key)
             retained = [k for k in retained if k.scored.candidate.key != c.key]
-    return now, retained
+    return now, _foremost_first(now, retained, hyper)
+
+
+def _foremost_first(now: Hypothesis, claims: list[Claim], hyper: Hyper) -> list[Claim]:
+    """The claims that a free rigid body takes up in the order of what they say beside all others, in the places that they have.
+
+    A later one of them must show beside the first (`judged`): which one was found first says nothing of which is the cause.
+    """
+
+    def says(claim: Claim) -> float:
+        c = claim.scored.candidate
+        return scores(now.without(c.key), [c], hyper)[0].score
+
+    alike = [k for k in claims if k.scored.candidate.effect.absorbed]
+    if len(alike) < 2:
+        return claims
+    ordered = iter(sorted(alike, key=says, reverse=True))
+    return [next(ordered) if k in alike else k for k in claims]

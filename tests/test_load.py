@@ -1,0 +1,101 @@
+"""What is said of a load: numbers that a body can have, whatever a free fit asks for, and an order of claims that shows what is the cause."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from stopset.effects import get
+from stopset.offline.description import robot_from_text
+from stopset.offline.diagnose.answer import Parameter
+from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
+from stopset.offline.diagnose.load import nearest_body, of_a_body, says
+from stopset.offline.diagnose.search.predicts import judged
+from stopset.offline.diagnose.search.search import Claim, _foremost_first
+from stopset.offline.nominal.physical import pseudo_inertia
+from stopset.recording import Recordings
+from stopset.robot.arm import standard_parameters
+from stopset.simulation import prepare
+from test_diagnose import ARM
+
+# what a real UR10e's rows asked for with 2.805 kg mounted
+FREE = np.array([2.932, 0.08125, 0.4397, -0.4646, -0.001272, 0.0112, 0.04207, -0.001568, 0.06988, -0.1108])
+
+
+def test_an_inertia_that_no_body_has_becomes_that_of_the_nearest() -> None:
+    assert np.linalg.eigvalsh(pseudo_inertia(FREE))[0] < -0.1
+    body = nearest_body(FREE)
+    assert np.linalg.eigvalsh(pseudo_inertia(body))[0] > 0.0
+    assert np.array_equal(body[:4], FREE[:4])  # gravity told these
+    point = standard_parameters(FREE[0], FREE[1:4] / FREE[0], np.zeros((3, 3)))
+    assert np.abs(body - point)[4:].max() < 0.05 * FREE[0] * 0.22**2 + 0.01  # hardly more than all of it in one place
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_body_of_the_same_mass_and_centre_is_nearer(seed: int) -> None:
+    """But for the centimetre that the least body measures: among random bodies near it none lies nearer to what was asked for."""
+    rng = np.random.default_rng(seed)
+    free = FREE + np.concatenate([np.zeros(4), rng.normal(0, 0.1, 6)])
+    m, c = free[0], free[1:4] / free[0]
+
+    def second(x: np.ndarray) -> np.ndarray:
+        return pseudo_inertia(x)[:3, :3] - m * np.outer(c, c)
+
+    body = nearest_body(free)
+    least = np.linalg.norm(second(body) - second(free))
+    root = np.linalg.cholesky(second(body) + 1e-12 * np.eye(3))
+    for _ in range(200):
+        other = root + rng.normal(0, 0.02, (3, 3))
+        assert np.linalg.norm(other @ other.T - second(free)) > least - 3 * m * 0.01**2
+
+
+def test_what_a_body_can_have_stays_as_it_is() -> None:
+    body = standard_parameters(1.2, np.array([0.02, -0.03, 0.1]), np.diag([0.002, 0.003, 0.0025]))
+    assert nearest_body(body) is body
+
+
+def test_a_load_taken_off_is_a_body_taken_off() -> None:
+    """The mirror image: a tool that is missing has a negative mass, and minus the numbers of the body that would hang there."""
+    assert np.array_equal(nearest_body(-FREE), -nearest_body(FREE))
+
+
+def test_how_far_an_inertia_was_moved_counts_to_its_error() -> None:
+    payload = get("payload")
+    fitted = {t.symbol: Parameter(v, t.unit, 0.02) for t, v in zip(payload.terms, FREE.tolist(), strict=True)}
+    stated = of_a_body(payload, fitted)
+    assert stated["m"] == fitted["m"] and stated["mz"] == fitted["mz"]
+    moved = stated["Izz"].value - fitted["Izz"].value
+    assert moved > 0.15 and stated["Izz"].std == pytest.approx(np.hypot(0.02, moved))
+    words = says(payload, fitted, stated, described=False)
+    assert "2.93 kg (95 %: 2.89 to 2.97 kg)" in words and "is no body's" in words and "description alone" not in words
+    assert "is no body's" not in says(payload, stated, stated, described=False)
+    spring = get("spring")
+    one = {"k": Parameter(3.0, "N m/rad", 0.1)}
+    assert of_a_body(spring, one) is one and says(spring, one, one, described=False) == spring.says
+
+
+def test_which_of_two_effects_that_masses_imitate_is_the_cause_does_not_hang_on_which_was_found_first() -> None:
+    """A load is hidden; a tilt that was claimed before it is asked beside it, not the other way round."""
+    scenario = prepare(robot_from_text(ARM), ["payload"], 41, "compact", "easy", "exact")
+    engine = Engine.build(
+        scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings()))
+    )
+    tilt, load, rub = engine.add_all([(get("base_tilt"), (), {}), (get("payload"), (), {}), (get("cubic_viscous"), (1,), {})])
+    now = Hypothesis(engine, (tilt, rub, load))
+    hyper, _ = now.fit()
+    nothing = np.zeros(10)
+    claims = [Claim(Scored(c, 0.0, nothing, np.eye(10)), 0.0, (), (), ()) for c in (tilt, rub, load)]
+    for given in (claims, claims[::-1]):
+        assert [k.scored.candidate for k in _foremost_first(now, given, hyper)] == [load, rub, tilt]
+    before = np.array([0.3, 0.1])
+
+    def claimed(c: Candidate, share: float, earlier: Candidate, left: float) -> bool:
+        return not judged(now, c, before, before * (1.0 - share), hyper, [earlier], (left, left)).why
+
+    # where a joint keeps more than its noise the second one must stand out: both may be one error of the description
+    assert not claimed(tilt, 0.026, load, 20.0) and not claimed(load, 0.026, tilt, 20.0) and claimed(tilt, 0.15, load, 20.0)
+    assert claimed(tilt, 0.0, load, 1.0) and claimed(tilt, 0.0, rub, 20.0)

@@ -1,0 +1,134 @@
+"""Whether drives have the torque for a ramp is asked of every state, payload, rotor, delay and pace: sampled ramps ask no more."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stopset.artifact import Model
+from stopset.reach.stops import Ramp, StopBounds
+from stopset.reach.stops.compiled import ramp_torque
+from stopset.reach.stops.ramp import ramp_tube
+from stopset.reach.stops.start import Start
+from stopset.robot.rigid import torques
+from stopset.sets import Box
+from stopset.types import Array
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from stop_arms_wide import arms
+
+ARMS = {name: arm for name, (arm, _) in arms().items()}
+NAMES = (
+    "PRBT-like",
+    "UR10e-like",
+    "cobot of seven joints",
+    "random arm of 2 joints, 0",
+    "random arm of 5 joints, 0",
+    "random arm of 7 joints, 1",
+)
+
+
+@dataclass(frozen=True)
+class Ramps:
+    """Ramps of an arm with rotors known to 20 % and any payload up to the rated one."""
+
+    bounds: StopBounds
+    ramp: Ramp
+
+    @classmethod
+    def of(cls, model: Model, kind: str, pace: float = 0.5) -> Ramps:
+        n = model.n
+        value = (0.2, 0.3) if kind == "time" else (4.0, 6.0)
+        stated = Ramp.stated(n, time=0.3, control=0.03)
+        ramp = replace(
+            stated, kind=kind, value=Box.of(*np.tile(value, (n, 1)).T), control=Box.of(np.full(n, 0.01), np.full(n, 0.03))
+        )
+        ramp = replace(ramp, pace=(-pace, pace))
+        bounds = StopBounds.of(replace(model, inertia_std=model.rotor / 15.0), None, ramp=ramp, fast=True)
+        return cls(bounds, ramp)
+
+    def asked(self, start: Start) -> Array:
+        setting = self.bounds.setting
+        assert setting is not None
+        return ramp_torque(setting, setting.plant, self.ramp, start, ramp_tube(self.ramp, start.speeds.lo, start.speeds.hi))
+
+    def sampled(self, start: Start, count: int, rng: np.random.Generator, instants: int = 12) -> Array:
+        """(n,) [N m] the largest that ramps ask of links and rotors; each of one state, arm, delay and value per joint, and pace."""
+        setting, ramp, n = self.bounds.setting, self.ramp, self.bounds.model.n
+        assert setting is not None
+        p, worst = setting.plant, np.zeros(n)
+        shape = (count, n)
+
+        def pick(lo: Array, hi: Array) -> Array:
+            return np.where(rng.random(shape) < 0.2, rng.uniform(lo, hi, shape), np.where(rng.random(shape) < 0.5, lo, hi))
+
+        q0, v0 = (pick(b.lo, b.hi) for b in (start.angles, start.speeds))
+        begin, value = pick(ramp.control.lo, ramp.control.hi), pick(ramp.value.lo, ramp.value.hi)
+        lasts = value if ramp.kind == "time" else np.maximum(np.abs(v0), 1e-9) / value
+        rotor, pace = pick(p.rotor - p.rotor_half, p.rotor + p.rotor_half), rng.choice([*ramp.pace, 0.0], (count, 1))
+        for t in np.r_[0.0, np.sort(rng.uniform(0.0, float((begin + lasts).max()), instants))]:
+            s = np.clip((t - begin) / lasts, 0.0, 1.0)
+            run = np.minimum(t, begin) + lasts * (s - 0.5 * s * s)
+            slowing = (t >= begin) & (t <= begin + lasts)
+            a = v0 * (pace * (1.0 - s) ** 2 - np.where(slowing, (1.0 + pace * run) / lasts, 0.0)) * (t <= begin + lasts)
+            q, v = q0 + v0 * (run + 0.5 * pace * run * run), v0 * (1.0 - s) * (1.0 + pace * run)
+            for side in (-1.0, 1.0):
+                tau = torques(p.chain, p.pi + side * p.pi_half, q, v, a) + rotor * a
+                worst = np.maximum(worst, np.abs(tau).max(axis=0))
+        return worst
+
+
+def starts(model: Model, rng: np.random.Generator) -> list[Start]:
+    n, top = model.n, model.domain.dq.hi
+    out = []
+    for angle, speed in (
+        (1e-3, 0.01),
+        (0.03, 0.1),
+        (0.1, 0.4),
+        (0.25, 1.0),
+    ):  # up to the monitor's widest boxes: any speed there is
+        middle = rng.uniform(-1.0, 1.0, n) * np.maximum(top - speed * top, 0.0) * (rng.random(n) < 0.8)
+        out.append(Start(rng.uniform(-2.5, 2.5, n), middle, np.full(n, angle), np.maximum(speed * top, 1e-2)))
+    return out
+
+
+@pytest.mark.parametrize("kind", ["time", "deceleration"])
+@pytest.mark.parametrize("name", NAMES)
+def test_no_ramp_asks_more_of_a_drive_than_is_told(name: str, kind: str) -> None:
+    """8,000 ramps of each arm at 13 instants each, from boxes of states that are wider and wider."""
+    model, rng = ARMS[name], np.random.default_rng(NAMES.index(name))
+    ramps = Ramps.of(model, kind)
+    for start in starts(model, rng) + starts(model, rng):
+        assert np.all(ramps.sampled(start, 1000, rng) <= ramps.asked(start) * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize("name", ["PRBT-like", "UR10e-like", "cobot of seven joints"])
+def test_what_is_told_of_a_state_is_nearly_asked(name: str) -> None:
+    """Of one state and one motion that keeps its speed: within 30 % of the largest of the drives."""
+    model, rng = ARMS[name], np.random.default_rng(4)
+    ramps, ratio = Ramps.of(model, "time", pace=0.0), []
+    for _ in range(12):
+        q, dq = rng.uniform(-2.5, 2.5, model.n), 0.7 * rng.uniform(-1.0, 1.0, model.n) * model.domain.dq.hi
+        start = Start(q, dq, np.full(model.n, 1e-3), np.full(model.n, 1e-2))
+        told, found = ramps.asked(start), ramps.sampled(start, 400, rng)
+        worst = int(np.argmax(found / model.robot.torque_limit))
+        ratio.append(told[worst] / found[worst])
+    assert 1.0 <= np.median(ratio) < 1.3
+
+
+def test_no_state_of_a_box_with_a_stop_1_asks_more_than_its_drives_have() -> None:
+    """Boxes of the UR10e-like arm at half its speed: of those that were bounded once the fastest state of one direction had the torque."""
+    model, rng = ARMS["UR10e-like"], np.random.default_rng(1)
+    ramps = Ramps.of(model, "time")
+    limit, told = model.robot.torque_limit, 0
+    for k in range(24):
+        q, dq = rng.uniform(-2.0, 2.0, 6), 0.4 * rng.uniform(-1.0, 1.0, 6) * model.domain.dq.hi * (k % 4 > 0)
+        radii = np.full(6, 0.05 + 0.05 * (k % 2)), (0.05 + 0.25 * (k % 3 > 0)) * model.domain.dq.hi
+        if ramps.bounds.bound(q, dq, "1", *radii).certified:
+            told += 1
+            assert np.all(ramps.sampled(Start(q, dq, *radii), 3000, rng) <= limit)
+    assert told >= 4
