@@ -12,6 +12,7 @@ from fmu_models import arm_model
 from fmu_unit import Unit, unit
 from stopset.artifact import Model, save_model
 from stopset.cli.main import main
+from stopset.effects.base import Fitted
 from stopset.errors import NotCovered
 from stopset.fmu import Contents, export
 from stopset.fmu.build import native
@@ -37,10 +38,16 @@ def posed() -> Model:
     return replace(effects_of_pose(), provenance={"stop1_ramp": ramped(3).as_dict()})
 
 
+def misread() -> Model:
+    """A joint whose zero is 0.1 rad off: on its path the arm is elsewhere than it reads."""
+    model = braking()
+    return replace(model, effects=(*model.effects, Fitted("encoder_offset", model.joints[1], {"e": 0.1}, {"e": 0.002})))
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Model, File]]:
     folder, out = tmp_path_factory.mktemp("path"), {}
-    for name, model in (("linear", braking()), ("of pose", posed())):
+    for name, model in (("linear", braking()), ("of pose", posed()), ("misread", misread())):
         path = Path.through(rows(model.n))
         contents = Contents(3, (str(native()),), reference=False, path=path)
         out[name] = model, export(model, folder / f"{name.replace(' ', '_')}.fmu", contents)
@@ -57,7 +64,7 @@ def follow(u: Unit, model: Model, path: Path, row: float, rate: float, off: floa
 ASKED = ((0.0, 0.3), (0.7, 0.8), (1.4, 1.5), (2.0, 0.05), (3.3, 1.1), (2.5, 2.5))
 
 
-@pytest.mark.parametrize("name", ["linear", "of pose"])
+@pytest.mark.parametrize("name", ["linear", "of pose", "misread"])
 def test_a_stop_along_the_path_has_the_bits_of_python(made: dict[str, tuple[Model, File]], name: str) -> None:
     model, fmu = made[name]
     bounds, path, proved = bounds_of(model), Path.through(rows(model.n)), 0

@@ -14,6 +14,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.load import nearest_body, of_a_body, says
+from stopset.offline.diagnose.search.held_out import HeldOut
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.search import Claim, _foremost_first
 from stopset.offline.nominal.physical import pseudo_inertia
@@ -94,7 +95,8 @@ def test_which_of_two_effects_that_masses_imitate_is_the_cause_does_not_hang_on_
     before = np.array([0.3, 0.1])
 
     def claimed(c: Candidate, share: float, earlier: Candidate, left: float) -> bool:
-        return not judged(now, c, before, before * (1.0 - share), hyper, [earlier], (left, left)).why
+        after = before * (1.0 - share)
+        return not judged(now, c, HeldOut(before, before), HeldOut(after, after), hyper, [earlier], (left, left)).why
 
     # where a joint keeps more than its noise the second one must stand out: both may be one error of the description
     assert not claimed(tilt, 0.026, load, 20.0) and not claimed(load, 0.026, tilt, 20.0) and claimed(tilt, 0.15, load, 20.0)

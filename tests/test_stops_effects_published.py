@@ -5,12 +5,19 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from stopset.reach.stops import StopBounds
+from stopset.reach.stops.path import Path as Programmed
+from stopset.reach.stops.path import path_stop
+from stopset.robot.rigid import link_frames
+from stopset.types import Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
-from stops_effects import cases
-from stops_effects_published import run
+from stops_effects import Laws, cases, drawn, hiding, misread_by
+from stops_effects_published import Asked, held, ramps, run
 
 CASES = cases(prbt_like().joints)
 SEEN = (
@@ -37,3 +44,37 @@ def test_numbers_that_do_not_know_an_effect_are_contradicted(name: str) -> None:
     """Of ramps that fail and in other categories than STOP 0, too."""
     _, _, wrong = run(CASES[name], 21, 4, 5, blind=True)
     assert {line.split(",")[0] for line in wrong} - {"STOP 0"}
+
+
+def tool_at(bounds: StopBounds, q: Array) -> Array:
+    """(N, 3) [m]."""
+    R, o = link_frames(bounds.model.robot.chain, q)
+    return np.asarray(o[:, -1] + R[:, -1] @ bounds.setting.payload_com)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("name", [*SEEN, "encoder_eccentricity", "base_tilt"])
+def test_along_a_path_the_arm_is_held_and_goes_no_farther_than_told(name: str) -> None:
+    """1,440 true poses of arms that are led along a path as they read it: margins, the tool's way and its box."""
+    model, rng, poses = hiding(CASES[name]), np.random.default_rng(3), 0
+    n = model.n
+    ramp = ramps(n)["SS1-t"]
+    bounds = StopBounds.of(model, (0.0, 1.0), ramp=ramp)
+    assert bounds.setting is not None
+    for _ in range(5):
+        path = Programmed.through(np.cumsum(np.vstack([rng.uniform(-0.9, 0.9, n), rng.uniform(-0.4, 0.4, (3, n))]), axis=0))
+        stop = path_stop(bounds, path, 0.1, rng.uniform(0.5, 1.2))
+        b = stop.bound
+        assert b.certified, b.why
+        s = np.linspace(0.1, 0.1 + stop.length, 8)
+        read = np.repeat(path.p(s, 0), 36, axis=0)
+        batch = drawn(model, read, np.zeros_like(read), bounds.setting.payload_com, rng)
+        off, _ = misread_by(model, read, rng)
+        true = batch.q + off + ramp.q_error * rng.choice([-1.0, 1.0], read.shape)
+        least = held(model, Asked(bounds, b, batch, rng), Laws(model, batch, rng), true)
+        assert np.all(least >= b.holding_margin - 1e-6)
+        led = path.p(s, 0) + off[::36]
+        moved = tool_at(bounds, led) - tool_at(bounds, led[:1])
+        assert np.all(np.linalg.norm(moved, axis=1) <= b.tcp + 1e-6)
+        assert np.all(moved >= b.tcp_box[:, 0] - 1e-6) and np.all(moved <= b.tcp_box[:, 1] + 1e-6)
+        poses += len(true)
+    assert poses == 1440

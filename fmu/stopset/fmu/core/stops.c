@@ -71,7 +71,8 @@ static int on_the_path(const StopsetState *s, const StopsetPassed *p) {
     const double *q = state_of(s, 0), *dq = state_of(s, 1);
     for (int i = 0; i < NJ; i++) {
         const double near = stopset_ramp.q_error[i] + stopset_path.noise[i], close = stopset_ramp.dq_error[i] + stopset_path.noise[NJ + i];
-        if (!(fabs(q[i] - p->q[i]) <= near && fabs(dq[i] - p->dq[i]) <= close)) return 0;
+        const double true_q = q[i] + stopset_model.truth_centre[i];
+        if (!(fabs(true_q - p->q[i]) <= near && fabs(dq[i] - p->dq[i]) <= close)) return 0;
     }
     return 1;
 }

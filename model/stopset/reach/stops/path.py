@@ -125,7 +125,7 @@ class Passed:
 
 @dataclass(frozen=True, slots=True)
 class PathStop:
-    """A stop along a path: ``length`` in ``s``, ``time`` [s]; ``q`` (K, n) the poses passed; ``room`` [N m] least torque left."""
+    """A stop along a path: ``length`` in ``s``, ``time`` [s]; ``q`` (K, n) the true poses passed; ``room`` [N m] least torque left."""
 
     length: float
     time: float
@@ -173,12 +173,16 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
 
 
 def path_fields(setting: Setting, path: Path) -> dict[str, Array]:
-    """A path, the arm's limits and where states were seen, by the names of the C struct."""
-    robot, noise, d = setting.model.robot, setting.noise, setting.model.domain
+    """A path, the arm's limits and where states were seen, by the names of the C struct: all of them where the arm truly is while it
+    reads them, which effects may set right."""
+    n, robot, noise, d = setting.model.n, setting.model.robot, setting.noise, setting.model.domain
+    off = setting.truth.centre[:n]
+    true = path.coefficient.copy()
+    true[:, :, 0] += off
     return {
-        "knots": path.knots, "coefficient": path.coefficient, "noise": noise.radius, "q_lo": robot.q_limit[:, 0],
-        "q_hi": robot.q_limit[:, 1], "fastest": robot.dq_limit, "seen_lo": np.concatenate([d.q.lo, d.dq.lo]) - EDGE,
-        "seen_hi": np.concatenate([d.q.hi, d.dq.hi]) + EDGE,
+        "knots": path.knots, "coefficient": true, "noise": np.r_[noise.radius[:n], np.maximum(np.abs(noise.lo), np.abs(noise.hi))[n:]],
+        "q_lo": robot.q_limit[:, 0] + off, "q_hi": robot.q_limit[:, 1] + off, "fastest": robot.dq_limit,
+        "seen_lo": np.concatenate([d.q.lo + off, d.dq.lo]) - EDGE, "seen_hi": np.concatenate([d.q.hi + off, d.dq.hi]) + EDGE,
     }  # fmt: skip
 
 
@@ -203,7 +207,8 @@ def _refusal(code: int, model: Model, path: Path, passed: Any, ds: float) -> str
 def _judged(bounds: StopBounds, setting: Setting, ramp: Ramp, passed: Passed, out: list[Array]) -> StopBound:
     """The bound, or why there is none: outside the domain, no time to rest known, not held."""
     poses = passed.q
-    seen = (beyond_domain(bounds.model, q, v) for q, v in zip(poses, passed.dq, strict=True))
+    read = poses - setting.truth.centre[: bounds.model.n]
+    seen = (beyond_domain(bounds.model, q, v) for q, v in zip(read, passed.dq, strict=True))
     beyond = next((x for x in seen if x), None)
     if beyond and not bounds.extrapolate_state:
         return StopBound(

@@ -108,7 +108,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("open loop", open_loop, "DIRECTION_WIDTH SPEED_LIMIT"),
     ("output error", output_error, "VELOCITY_TIME ITERATIONS STARTS FEW FAR PROGRESS UNDETERMINED NOT_FELT USUAL_TIME"),
     ("parameter uncertainty", parameter_uncertainty, "ERRORS SHARE STATES SPAN"),
-    ("physical", physical, "MARGIN SMALL FEASIBLE NEAR"),
+    ("physical", physical, "MARGIN SMALL FAR FEASIBLE NEAR"),
     ("prior", prior, "IDENTIFICATION CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
     ("rotors", rotors, "POSES FAR"),
