@@ -98,12 +98,6 @@ def test_another_trajectory_of_a_healthy_arm_shows_no_lighter_load(healthy: Heal
     assert found.verdict == "none" and not found.changed, found.changed
 
 
-def test_another_motion_of_a_healthy_arm_shows_no_scale_of_one_drive() -> None:
-    """A gain of 6 % at a wrist, which lowered the held-out error by 0.8 %, was named with a score of 25.4."""
-    answer = found_pairs.asked("lwa4p", found_pairs.drawn(95126, 6), 95126)
-    assert answer["right"] and not answer["false"], answer
-
-
 def test_torque_constants_that_are_off_alike_are_no_load(healthy: Healthy) -> None:
     """4 % at all drives was a load of -0.23 kg."""
     found, _ = diagnose_model(healthy.model, healthy.recorded((8.0,) * 8, 3, Trouble(gain=1.04)))

@@ -58,8 +58,7 @@ def judged(
 
     A delay is judged against ``now`` with its joint's stamps held: far off, they would imitate a good part of it.
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
-    Against a model from other recordings, whose base is not free, it must show, but for an inertia alone, which motions ask for little: a
-    drive's scale on a healthy arm's other trajectory lowered the error by 0.8 %.  So must a second one of its kind where
+    Beside other claims against a model from other recordings, whose base is not free, it must show; so must a second one of its kind where
     its joint keeps more than its noise: two of them share what one description is off by, as half a degree of tilt beside a load.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
     What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
@@ -70,8 +69,7 @@ def judged(
     inner = Step(before, after, "", candidate.joints, inner=True)
     whole = replace(inner, inner=False)
     second = _keeps_more(whole, left) and any(c.effect.absorbed for c in earlier)
-    known = now.engine.modelled and (bool(earlier) or candidate.effect.enters != "inertia")
-    if candidate.effect.absorbed and not (second or known):
+    if candidate.effect.absorbed and not (second or (earlier and now.engine.modelled)):
         return whole
     whole = replace(whole, why=_too_little(whole, candidate, earlier, left))
     hidden = whole.why and candidate.effect.role == "friction"
