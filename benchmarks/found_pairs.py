@@ -24,6 +24,7 @@ import numpy as np
 from as_found import ONE, PROGRAM, Trouble, play_in_the_gear, recorded
 
 from stopset.artifact import Model
+from stopset.effects import get
 from stopset.errors import StopsetError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot
@@ -177,6 +178,8 @@ def judged(found: Diagnosis, case: Case, robot: Robot, joint: int) -> dict[str, 
     where = {robot.joints[joint]} if case.place not in ("arm", "") else set(robot.joints)
     if case.change is _worn:
         where |= {robot.joints[(joint + 2) % robot.n]}
+    if case.effect and get(case.effect).scope == "pair":
+        where |= {robot.joints[k] for k in (joint - 1, joint + 1) if 0 <= k < robot.n}
     effects = case.says or (case.effect,)
     false = [f"{e}:{'+'.join(at)}" for e, at in named if not (e in effects and (not at or set(at) <= where))]
     right = found.verdict in case.verdicts and not false

@@ -149,6 +149,14 @@ def test_play_in_a_gear_is_no_elasticity_of_its_neighbour(shared_data) -> None: 
     assert not answer["false"], answer
 
 
+@pytest.mark.shared
+def test_a_soft_gear_is_not_its_neighbours(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """The elbow's gear was named, with hysteresis at the true one's: only one joint's stiffness was looked for between those of the grid."""
+    arm = str(shared_data("ur10e/robot.urdf"))
+    answer = found_pairs.asked(arm, found_pairs.drawn(95147, 6), 95147)
+    assert answer["named"] == ["elasticity:shoulder_lift_joint"], answer
+
+
 @pytest.mark.slow
 def test_a_load_weighed_alone_is_known_no_better_than_the_drives_scale() -> None:
     """Drives that report 7.5 % too much on an arm that is not quite its description: 2.99 kg (2.75 to 3.23) were said of 2.61 kg."""

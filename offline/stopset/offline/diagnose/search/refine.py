@@ -20,13 +20,13 @@ def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Sco
     """The best distinct contenders of ``scored`` (best first) with their shapes refined, best first.
 
     What refining leaves nothing of takes no other's place: a lag of the grid may look likely at every joint and turn out to be none.
+    An elastic gear shakes its neighbours: each joint's may lie between two stiffnesses of the grid, and each is refined before one is believed.
     """
-    out_of_step = next((s for s in scored if _out_of_step(s) and s.score > 0), None)
     asked, finer = set[tuple[str, tuple[int, ...]]](), list[Scored]()
     for s in scored:
         if len(finer) == limit.CONTENDERS or s.score <= 0:
             break
-        if s.candidate.key not in asked and (s.admissible or s is out_of_step):
+        if s.candidate.key not in asked and (s.admissible or _out_of_step(s)):
             asked.add(s.candidate.key)
             if (best := refine(now, s, hyper)).score > 0:
                 finer.append(best)
