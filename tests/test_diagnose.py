@@ -25,6 +25,7 @@ from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
 from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
+from stopset.offline.diagnose.search.held_out import HeldOut
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import refine, refined
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
@@ -354,7 +355,7 @@ def test_a_law_that_predicts_nothing_is_no_claim() -> None:
     hyper = Hyper((), (), 1.0)
 
     def claimed(c: Candidate, after: np.ndarray, *earlier: Candidate, left: tuple[float, ...] = ()) -> bool:
-        return not judged(base, c, before, after, hyper, earlier, left).why
+        return not judged(base, c, HeldOut(before, before), HeldOut(after, after), hyper, earlier, left).why
 
     assert not claimed(cubic, np.array([0.2, 0.1074]))  # another joint's error does not count
     assert not claimed(cubic, before * 0.985)
