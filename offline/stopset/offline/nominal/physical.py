@@ -77,7 +77,7 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
         csc_matrix(np.eye(p)), np.zeros(p), csc_matrix(G @ steps), h - G @ free, cones, settings
     ).solve()
     # a search that stops early has bodies all the same; how near they are is what its slopes leave (torque in another unit does it)
-    early = str(found.status) == "InsufficientProgress" and found.r_prim < FEASIBLE and found.r_dual < NEAR
+    early = str(found.status) in ("InsufficientProgress", "MaxIterations") and found.r_prim < FEASIBLE and found.r_dual < NEAR
     x = free + steps @ np.array(found.x)
     if not (early or str(found.status) in ("Solved", "AlmostSolved")) or bool(np.any(far @ x > out_of_reach)):
         none = "no link parameters are physically possible and meet every limit at once"
