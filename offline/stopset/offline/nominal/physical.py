@@ -18,7 +18,7 @@ from stopset.types import Array
 
 MARGIN = 1e-7  # smallest eigenvalue kept, relative to the largest of the CAD's pseudo-inertia
 SMALL = 0.01  # [m] no link counts as smaller, were it described as a point
-FAR = 1e6  # distance from the free solution, in roots of what is minimised, beyond which a limit cannot decide and only spoils the scale
+FAR = 1e12  # distance from the free solution, in roots of what is minimised, beyond which a limit cannot decide and only spoils the scale
 FEASIBLE, NEAR = 1e-8, 1e-3  # residuals of limits and of slopes that a search which stops early may leave
 _UPPER = [(i, k) for k in range(4) for i in range(k + 1)]
 
@@ -77,7 +77,7 @@ def solve_consistent(H: Array, b: Array, A: Array, lower: Array, upper: Array, r
         csc_matrix(np.eye(p)), np.zeros(p), csc_matrix(G @ steps), h - G @ free, cones, settings
     ).solve()
     # a search that stops early has bodies all the same; how near they are is what its slopes leave (torque in another unit does it)
-    early = str(found.status) in ("InsufficientProgress", "MaxIterations") and found.r_prim < FEASIBLE and found.r_dual < NEAR
+    early = str(found.status) == "InsufficientProgress" and found.r_prim < FEASIBLE and found.r_dual < NEAR
     x = free + steps @ np.array(found.x)
     if not (early or str(found.status) in ("Solved", "AlmostSolved")) or bool(np.any(far @ x > out_of_reach)):
         none = "no link parameters are physically possible and meet every limit at once"
