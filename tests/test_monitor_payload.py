@@ -74,8 +74,8 @@ def test_surely_nothing_is_bounded_as_nothing_and_no_word_as_everything(tmp_path
         "payload_kg = [0, 1]": (0.0, 1.0),
     }.items():
         prepared, why = prepare(str(tmp_path / "m.json"), declared(tmp_path, line), Stops(("0",)))
-        assert prepared is not None and prepared.whole.setting is not None, why
-        assert prepared.whole.setting.payload == means
+        assert prepared is not None and prepared.setting is not None, why
+        assert prepared.setting.payload == means
         distances[line] = answer_for(prepared, "0", x, x).numbers.tcp
     assert distances["payload_kg = [0, 0]"] < distances["payload_kg = [0, 1]"] < distances[""] == distances["payload_kg = 0"]
     prepared, why = prepare(str(tmp_path / "m.json"), declared(tmp_path, "payload_kg = [1, 5]"), Stops(("0",)))
