@@ -34,6 +34,7 @@ SIZED = (
     "stopset_torques", "stopset_bent_torques", "stopset_gravity_torques", "stopset_mass_matrices", "stopset_regressors",
     "stopset_moment_arms", "stopset_link_frames", "stopset_point", "stopset_expand", "stopset_inertia_box", "stopset_point_sets",
     "stopset_swept_capsules", "stopset_power_off", "stopset_working_ramp", "stopset_failed_ramp", "stopset_power_excess",
+    "stopset_ramp_torque",
     "stopset_energy_after", "stopset_speed_bounds", "stopset_friction_over", "stopset_path_stop",
     "stopset_stop_tube", "stopset_largest_energy", "stopset_acceleration_bounds", "stopset_discretise",
     "stopset_linear_step", "stopset_responses", "stopset_along", "stopset_sim_mass_and_bias", "stopset_sim_torques",

@@ -120,6 +120,18 @@ def test_what_is_told_of_a_state_is_nearly_asked(name: str) -> None:
     assert 1.0 <= np.median(ratio) < 1.3
 
 
+def test_an_arm_that_stands_asks_for_its_weight() -> None:
+    """Of a state that is known exactly: gravity of the heaviest or the lightest arm, and no rotor or speed on top."""
+    model, rng = ARMS["UR10e-like"], np.random.default_rng(2)
+    ramps, still = Ramps.of(model, "time"), np.zeros(model.n)
+    setting = ramps.bounds.setting
+    assert setting is not None
+    p = setting.plant
+    for q in rng.uniform(-2.5, 2.5, (20, model.n)):
+        g = [torques(p.chain, p.pi + side * p.pi_half, q[None], still[None], still[None])[0] for side in (-1.0, 1.0)]
+        assert ramps.asked(Start(q, still, still, still)) == pytest.approx(np.abs(g).max(axis=0), rel=1e-9, abs=1e-9)
+
+
 def test_no_state_of_a_box_with_a_stop_1_asks_more_than_its_drives_have() -> None:
     """Boxes of the UR10e-like arm at half its speed: of those that were bounded once the fastest state of one direction had the torque."""
     model, rng = ARMS["UR10e-like"], np.random.default_rng(1)

@@ -19,6 +19,8 @@ static Range product(Range a, Range b) {
 
 static Range sum(Range a, Range b) { return (Range){a.lo + b.lo, a.hi + b.hi}; }
 
+static double sign_of(double x) { return (double)((x > 0.0) - (x < 0.0)); }
+
 /* Accelerations of joint i, from speeds v at the request, on a stretch of time: of its motion, which gets faster or slower by its pace, and
  * of the ramp, between its earliest start and its latest end. */
 static Range acceleration(const StopsetRamp *r, int i, Range v, double from, double to) {
@@ -31,7 +33,7 @@ static Range acceleration(const StopsetRamp *r, int i, Range v, double from, dou
     const int must = from >= r->control_hi[i] && to <= r->control_lo[i] + shortest;
     Range ramp = none, at = {r->timed ? 1.0 / r->value_hi[i] : r->value_lo[i], r->timed ? 1.0 / r->value_lo[i] : r->value_hi[i]};
     if (may) {
-        const Range back = {v.lo < 0.0 ? -1.0 : v.lo > 0.0 ? 1.0 : 0.0, v.hi > 0.0 ? 1.0 : v.hi < 0.0 ? -1.0 : 0.0};
+        const Range back = {sign_of(v.lo), sign_of(v.hi)};
         const Range down = product(product(r->timed ? v : back, at), share);
         ramp = (Range){-down.hi, -down.lo};
         if (!must) ramp = (Range){least(ramp.lo, 0.0), most(ramp.hi, 0.0)};

@@ -225,7 +225,7 @@ static void pass(const Task *t, StopsetPassed *p, double s, const double *q, con
     }
 }
 
-static double clamped(double x, double size) { return x > size ? size : x < -size ? -size : x; }
+static double clamped(double x, double size) { return most(least(x, size), -size); }
 
 /* What is passed from s0 on, where the path is run through at `asked`, and the least torque left on the way; a code. Until it brakes it may get faster,
  * up to f's first rate, but no joint faster than the arm's. */

@@ -86,13 +86,13 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
 
 /* Whether the drives have the torque for the ramp from every state of the box, friction at its largest speeds on top. */
 static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *p, const double fastest[SN]) {
-    double asked[SN];
-    if (stopset_ramp_torque(p, r, &a->from, &a->tube, a->made, asked)) return 0;
+    double asked[SN] = {0};
+    int have = stopset_ramp_torque(p, r, &a->from, &a->tube, a->made, asked) == STOPSET_OK;
     for (int i = 0; i < p->arm.n; i++) {
         const double extra = p->coulomb_hi[i] + p->viscous_hi[i] * fastest[i] + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
-        if (!(asked[i] + extra <= r->limit[i])) return 0;
+        have &= asked[i] + extra <= r->limit[i];
     }
-    return 1;
+    return have;
 }
 
 int stops_near(const StopsetStops *s, const double *q_lo, const double *q_hi, const double *speed, double friction[6 * SN], StopsetPlant *out) {
