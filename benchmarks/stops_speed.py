@@ -7,6 +7,7 @@ CPU time of this process, so that other work on the machine counts less; medians
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import subprocess
 import sys
@@ -227,13 +228,22 @@ def fresh_process() -> list[float]:
 
 
 def main() -> None:
-    if sys.argv[1:2] == ["--energy"]:
-        energy(sys.argv[2:])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--ramps", action="store_true", help="STOP 1 that may fail")
+    which.add_argument("--ranges", action="store_true", help="ranges of payloads in two parts beside all of them at once")
+    which.add_argument("--energy", nargs="*", metavar="MODEL", help="the kinetic energy's tubes alone, of these models too")
+    args = parser.parse_args()
+    if args.energy is not None:
+        if missing := [x for x in args.energy if not Path(x).is_file()]:
+            parser.error(f"no model file {missing[0]}; expected what `stopset identify` made")
+        energy(args.energy)
+    if args.ramps:
+        ramps()
+    if args.ranges:
+        ranges()
+    if args.ramps or args.ranges or args.energy is not None:
         return
-    for option, run in (("--ramps", ramps), ("--ranges", ranges)):
-        if option in sys.argv[1:]:
-            run()
-            return
     bounds = StopBounds.of(prbt_like(), (0.0, 0.25))
     q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])
     dq = np.array([1.0, 0.8, -0.7, 0.3, 0.5, -1.0])
