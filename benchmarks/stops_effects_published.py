@@ -185,10 +185,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--states", type=int, default=21)
     parser.add_argument("--stops", type=int, default=12, help="of each state")
-    parser.add_argument("--effect", help="only this case")
+    parser.add_argument("--effect", choices=cases(prbt_like().joints), metavar="CASE", help="only this case")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--blind", action="store_true", help="the bound does not know the effect: stops must contradict it")
     given = parser.parse_args()
+    if given.states < 1 or given.stops < 1:
+        parser.error("expected at least one state and one stop: with none nothing is contradicted")
     total = beyond = 0
     for name, effects in cases(prbt_like().joints).items():
         if given.effect not in (None, name):
