@@ -112,7 +112,7 @@ def torque_shares(scale: Array, std: Array, joints: Sequence[str], limit: Array)
     unit = next((u for full, u in SHARES.items() if 0.5 * full < middle < PEAK * full), None)
     if unit is None:
         return []
-    seen = ", ".join(f"{joints[j]} {scale[j]:.3g} ({limit[j]:.3g} N m)" for j in sure)
+    seen = ", ".join(f"{joints[j]} {scale[j]:.3g} ({limit[j]:.3g} N m)" for j in sure.tolist())
     return [
         Finding("wrong_unit", "error", None,
                 f"the torque over what the rigid body needs falls with what the drives have: {seen}; it is in {unit} of it",
