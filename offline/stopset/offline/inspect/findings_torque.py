@@ -105,8 +105,8 @@ def torque_shares(scale: Array, std: Array, joints: Sequence[str], limit: Array)
     if len(sure) < 2:
         return []
     k, share = scale[sure], scale[sure] * limit[sure]
-    apart = float(share.max() / share.min())
-    if (k + 2 * std[sure]).min() > LESS or apart > 2 or k.max() / k.min() < 2 * apart:
+    spread = float(share.max() / share.min())
+    if (k + 2 * std[sure]).min() > LESS or spread > 2 or k.max() / k.min() < 2 * spread:
         return []
     middle = float(np.sqrt(share.max() * share.min()))
     unit = next((u for full, u in SHARES.items() if 0.5 * full < middle < PEAK * full), None)
