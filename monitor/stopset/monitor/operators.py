@@ -126,9 +126,7 @@ class Operators:
             return f"the order is signed by the key {order.key[:16]}, which is no operator's of this monitor"
         name, key = self.keys[order.key]
         try:
-            key.verify(
-                base64.b64decode(order.signature, validate=True), _text(order, Moment(data_id, order.boot_id, order.seq))
-            )
+            key.verify(base64.b64decode(order.signature, validate=True), _text(order, Moment(data_id, order.boot_id, order.seq)))
         except (InvalidSignature, binascii.Error, ValueError):
             return f"the order is not what {name} signed, or is about another arm"
         return ""
