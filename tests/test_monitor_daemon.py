@@ -21,7 +21,7 @@ from patience import wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError, NotCovered
 from stopset.monitor import daemon as daemon_module
-from stopset.monitor.config import Bus, Config, Fallback, Publish, Stops
+from stopset.monitor.config import LEAST_RECOVER, Bus, Config, Fallback, Publish, Stops
 from stopset.monitor.daemon import MAX_FAULTS, Daemon
 from stopset.monitor.layout import Flag, State, unpack
 from stopset.monitor.profile import load_profile
@@ -385,6 +385,16 @@ def test_there_is_no_ok_before_it_is_known_how_fast_samples_come(make: Callable[
     daemon.run(never)
     assert bool({State.OK, State.DEGRADED} & set(wire.words)) == good
     assert any("whether samples come at the model's steps" in t["why"] for t in wire.slow["state/json"])
+
+
+@pytest.mark.parametrize(("recover", "flaps"), [(0.0, True), (LEAST_RECOVER, False)])
+def test_good_cycles_between_bad_ones_are_no_ok(make: Callable[..., Made], recover: float, flaps: bool) -> None:
+    """Of drives that leave out the torque of every fourth cycle: why a configuration with no time to recover is refused."""
+    script = [s if k < 40 or k % 4 else replace(s, tau=None) for k, s in enumerate(samples(90))]
+    daemon, _, wire = make(script, publish={"recover_s": recover, "evidence_min_s": 0.0})
+    daemon.run(never)
+    later = [s["state"] for s in wire.states if s["t_meas_ns"] > wire.states[-1]["t_meas_ns"] - 40 * DT * 1e9]
+    assert State.UNKNOWN in later and bool({State.OK, State.DEGRADED} & set(later)) == flaps
 
 
 def test_a_model_whose_file_became_another_while_it_was_read_is_not_taken(make: Callable[..., Made], tmp_path: Path) -> None:
