@@ -16,7 +16,7 @@ from float32 import outward
 from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
 from state_messages import pack
 from stopset.effects.base import Fitted
-from stopset.errors import BusError, NotCovered
+from stopset.errors import BusError, NotCovered, OutputError
 from stopset.monitor import plc, status
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import ConfigError, load_config
@@ -570,6 +570,14 @@ def test_bad_configuration_gets_one_sentence(text: str, word: str, tmp_path: Pat
     path.write_text(text)
     with pytest.raises(ConfigError, match=word):
         load_config(path)
+
+
+def test_a_journal_that_no_file_can_be_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    path = tmp_path / "c.toml"
+    path.write_text(f'journal = "{"a" * 300}"\nkeys = "loop"\n' + GOOD)
+    with pytest.raises(OutputError, match="cannot be written"):
+        FileStore(Path(load_config(path).journal), Record())
 
 
 @pytest.mark.parametrize("which", ["c.toml", "a.json", "arm.keys", "./a.json", "linked"])

@@ -310,7 +310,10 @@ def _check_rtde(path: Path, r: Rtde) -> None:
 
 def _same(a: Path, b: Path) -> bool:
     """Whether both name one file, there or not."""
-    return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
+    try:
+        return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
+    except (OSError, RuntimeError):  # a name that is too long, a link to itself: whoever opens it says so
+        return False
 
 
 def load_config(path: str | Path) -> Config:
@@ -369,7 +372,7 @@ def load_config(path: str | Path) -> Config:
     zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
     state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
     journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
-    if not journal.name or journal.is_dir():
+    if not journal.name or os.path.isdir(journal):  # noqa: PTH112 - Path's raises for a name that is too long
         raise ConfigError(f"{p}: journal is {config.journal!r}, a folder; expected the name of a file")
     named = (p.name, config.model, config.keys, config.zenoh.file, *config.signed.keys, *(o.key for o in config.operators))
     if other := next((x for x in named if x and _same(here / x, journal)), ""):

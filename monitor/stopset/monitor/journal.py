@@ -178,11 +178,11 @@ class FileStore:
 
     def __init__(self, path: Path, first: Any) -> None:
         begun, counts = path.with_name(f".{path.name}.begun"), path.with_name(f".{path.name}.counts")
-        if path.exists() and not path.is_file():
-            raise OutputError(
-                f"the journal of the latch {path} is no file that lasts; expected one, or none yet: name another place"
-            )
         try:
+            if path.exists() and not path.is_file():
+                raise OutputError(
+                    f"the journal of the latch {path} is no file that lasts; expected one, or none yet: name another place"
+                )
             if not path.exists():
                 _make(path, _GONE if begun.exists() else blank(first))
             if not begun.exists():  # only now: a start that ends in between is a first one still
