@@ -316,6 +316,31 @@ def _same(a: Path, b: Path) -> bool:
         return False
 
 
+def _placed(p: Path, config: Config, text: str) -> Config:
+    """With file names from where the configuration ``p`` is, and the hash of its ``text``. Raises `ConfigError`."""
+    here = p.parent
+    zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
+    state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
+    journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
+    if not journal.name or os.path.isdir(journal):  # noqa: PTH112 - Path's raises for a name that is too long
+        raise ConfigError(f"{p}: journal is {config.journal!r}, a folder; expected the name of a file")
+    named = (p.name, config.model, config.keys, config.zenoh.file, *config.signed.keys, *(o.key for o in config.operators))
+    if other := next((x for x in named if x and _same(here / x, journal)), ""):
+        raise ConfigError(
+            f"{p}: journal is {config.journal!r}, and so is {other}; expected a file of its own, for it is written over"
+        )
+    record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
+    return dataclasses.replace(
+        config, model=str(here / config.model), zenoh=zenoh,
+        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
+        operators=tuple(dataclasses.replace(o, key=str(here / o.key)) for o in config.operators),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
+        keys=str(here / config.keys) if config.keys else "",
+        limits=dataclasses.replace(config.limits, category=config.limits.category or asked[0]),
+        journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
+    )  # fmt: skip
+
+
 def load_config(path: str | Path) -> Config:
     """Read a configuration; file names in it are relative to it. Raises `ConfigError` with one sentence."""
     p = Path(path)
@@ -368,24 +393,4 @@ def load_config(path: str | Path) -> Config:
     for part in (config.site, config.cell, config.arm):
         if not part or any(c in part for c in "*/$#? "):
             raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")
-    here = p.parent
-    zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
-    state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
-    journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
-    if not journal.name or os.path.isdir(journal):  # noqa: PTH112 - Path's raises for a name that is too long
-        raise ConfigError(f"{p}: journal is {config.journal!r}, a folder; expected the name of a file")
-    named = (p.name, config.model, config.keys, config.zenoh.file, *config.signed.keys, *(o.key for o in config.operators))
-    if other := next((x for x in named if x and _same(here / x, journal)), ""):
-        raise ConfigError(
-            f"{p}: journal is {config.journal!r}, and so is {other}; expected a file of its own, for it is written over"
-        )
-    record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
-    return dataclasses.replace(
-        config, model=str(here / config.model), zenoh=zenoh,
-        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
-        operators=tuple(dataclasses.replace(o, key=str(here / o.key)) for o in config.operators),
-        sha256=hashlib.sha256(text.encode()).hexdigest(),
-        keys=str(here / config.keys) if config.keys else "",
-        limits=dataclasses.replace(config.limits, category=config.limits.category or asked[0]),
-        journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
-    )  # fmt: skip
+    return _placed(p, config, text)
