@@ -336,7 +336,6 @@ def _placed(p: Path, config: Config, text: str) -> Config:
         operators=tuple(dataclasses.replace(o, key=str(here / o.key)) for o in config.operators),
         sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
-        limits=dataclasses.replace(config.limits, category=config.limits.category or asked[0]),
         journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
     )  # fmt: skip
 
@@ -393,4 +392,5 @@ def load_config(path: str | Path) -> Config:
     for part in (config.site, config.cell, config.arm):
         if not part or any(c in part for c in "*/$#? "):
             raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")
-    return _placed(p, config, text)
+    limits = dataclasses.replace(config.limits, category=config.limits.category or asked[0])
+    return _placed(p, dataclasses.replace(config, limits=limits), text)
