@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -385,6 +386,33 @@ def test_there_is_no_ok_before_it_is_known_how_fast_samples_come(make: Callable[
     daemon.run(never)
     assert bool({State.OK, State.DEGRADED} & set(wire.words)) == good
     assert any("whether samples come at the model's steps" in t["why"] for t in wire.slow["state/json"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes of Linux")
+def test_a_violation_is_latched_whatever_fails_in_its_cycle(make: Callable[..., Made]) -> None:
+    """What bounds stops had ended, and the machine had no descriptor for another one: the sample's violation went with the error."""
+    import resource
+
+    good = samples(60)
+    good[50] = replace(good[50], q=good[50].q + 0.5)
+    daemon, arm, wire = make([])
+    arm.script = [*good[:50], None]
+    while arm.script:
+        daemon.cycle()
+    assert not daemon.latch.latched and wait(lambda: daemon.desk._ready or daemon.desk._inbox)
+    daemon.desk._process.kill()
+    assert wait(lambda: "ended" in daemon.desk._inbox)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    arm.script, seen = good[50:52], daemon.desk.restarts
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, before[1]))
+        daemon.run(never)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert daemon.latch.latched and daemon.latch.count == 1 and State(wire.states[-1]["state"]) is State.VIOLATION
+    assert daemon.tally.faults == 0 and daemon.desk.restarts == seen + 1 and "cannot be begun" in daemon.desk.why
+    # as soon as the machine has one, it goes on
+    assert wait(lambda: daemon.desk.offer(time.time(), good[52].q, good[52].dq) or daemon.desk._ready)
 
 
 @pytest.mark.parametrize(("recover", "flaps"), [(0.0, True), (LEAST_RECOVER, False)])

@@ -188,6 +188,7 @@ class Daemon:
         self._evidence.append(s)
         self.pace.take(s.t)
         v = self.verdict = self.watch.step(s)
+        new = self.latch.take(s, v, now)  # before anything else, for nothing that fails below may lose it
         if v.conformance is Conformance.VIOLATION:
             self._violated = self.publisher.seq
         t = self.tally
@@ -206,7 +207,6 @@ class Daemon:
                 self.publisher.event("realtime", why=self.granted.lacking)
         if self.recorder is not None:
             self.recorder.take(s, v, CODES[v.conformance], self.watch.inputs)
-        new = self.latch.take(s, v, now)
         if new:
             if self.recorder is not None:
                 self.recorder.incident(new[0].first, s.t)
