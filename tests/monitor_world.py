@@ -294,6 +294,7 @@ class World:
         """Nobody looks."""
 
     settled = True
+    astray = ""
 
     def read(self) -> bytes:
         return bytes(self.disk)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from monitor_process import environment
+from patience import wait
+from stopset.errors import OutputError
 from stopset.monitor.journal import SLOT, FileStore, Journal, blank
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.sample import Sample
@@ -68,6 +71,8 @@ class Disk:
 
     def write_counts(self, data: bytes) -> None:
         self.counts = data
+
+    astray = ""
 
     def close(self) -> None:
         """Nothing is open."""
@@ -253,3 +258,40 @@ def test_an_emergency_finds_room_behind_whatever_was_violated(tmp_path: Path) ->
     assert again.latched and again.count == 5 and again.record.emergencies == {"robot_left_shoulder_pan_joint_3": 0x2310}
     assert 20 < len(again.record.entries) < 32
     again.close()
+
+
+def test_what_was_put_behind_a_journal_is_damage_once(tmp_path: Path) -> None:
+    """It made every later start latched, whatever a person had cleared."""
+    path = tmp_path / "arm.latch"
+    Latch(Journal(FileStore(path, Record()))).close()
+    path.write_bytes(path.read_bytes() + b"\n")
+    latch = Latch(Journal(FileStore(path, Record())))
+    assert latch.latched and "damaged" in latch.record.why
+    latch.reset("A. Person", "an editor's line end", 0.0)
+    latch.close()
+    again = Latch(Journal(FileStore(path, Record())))
+    assert not again.latched
+    again.close()
+
+
+@pytest.mark.parametrize("how", ["gone", "another", "folder"])
+def test_a_journal_that_a_restart_would_not_find_is_said(tmp_path: Path, how: str) -> None:
+    path = tmp_path / "state" / "arm.latch"
+    path.parent.mkdir()
+    latch = Latch(Journal(FileStore(path, Record())))
+    assert latch.keep(0.0) == ""
+    if how == "folder":
+        path.parent.rename(tmp_path / "elsewhere")
+    else:
+        path.rename(path.with_name("kept"))
+    if how == "another":
+        path.write_bytes(blank(Record()))
+    assert wait(lambda: "no longer at" in latch.keep(1.0)) and latch.keep(2.0), "as long as it is so"
+    latch.close()
+
+
+def test_a_journal_on_what_keeps_nothing_is_refused(tmp_path: Path) -> None:
+    """A pipe took every write and gave nothing back."""
+    os.mkfifo(tmp_path / "arm.latch")
+    with pytest.raises(OutputError, match="no file that lasts"):
+        FileStore(tmp_path / "arm.latch", Record())

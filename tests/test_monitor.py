@@ -16,7 +16,7 @@ from float32 import outward
 from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
 from state_messages import pack
 from stopset.effects.base import Fitted
-from stopset.errors import BusError, NotCovered
+from stopset.errors import BusError, NotCovered, OutputError
 from stopset.monitor import plc, status
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import ConfigError, load_config
@@ -279,6 +279,7 @@ class Disk:
     """Two slots in memory; ``data`` may be spoilt."""
 
     settled = True
+    astray = ""
 
     def __init__(self, record: Any) -> None:
         self.data, self.counts, self.full = bytearray(blank(record)), b"", False
@@ -554,6 +555,7 @@ GOOD = 'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n'
         (GOOD + "[publish]\nvalid_for_ms = 2000", "valid_for_ms is 2000"),
         (GOOD + "[publish]\nvalid_for_ms = 0", "valid_for_ms is 0"),
         (GOOD + "[publish]\nrecover_s = nan", "recover_s is nan"),
+        (GOOD + "[publish]\nrecover_s = 0", "recover_s is 0.0; expected 0.05 to 60"),
         ("payload_kg = nan\n" + GOOD, "payload_kg is nan"),
         (f"payload_kg = {'9' * 5000}\n" + GOOD, "TOML"),
         ('journal = "/"\n' + GOOD, "a folder"),
@@ -568,6 +570,25 @@ def test_bad_configuration_gets_one_sentence(text: str, word: str, tmp_path: Pat
     path.write_text(text)
     with pytest.raises(ConfigError, match=word):
         load_config(path)
+
+
+def test_a_journal_that_no_file_can_be_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    path = tmp_path / "c.toml"
+    path.write_text(f'journal = "{"a" * 300}"\nkeys = "loop"\n' + GOOD)
+    with pytest.raises(OutputError, match="cannot be written"):
+        FileStore(Path(load_config(path).journal), Record())
+
+
+@pytest.mark.parametrize("which", ["c.toml", "a.json", "arm.keys", "./a.json", "linked"])
+def test_a_journal_that_is_another_file_of_the_cell_overwrites_nothing(which: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("a model")
+    (tmp_path / "linked").symlink_to("a.json")
+    path = tmp_path / "c.toml"
+    path.write_text(f'journal = "{which}"\nkeys = "arm.keys"\n' + GOOD)
+    with pytest.raises(ConfigError, match="a file of its own"):
+        load_config(path)
+    assert (tmp_path / "a.json").read_text() == "a model"
 
 
 def test_example_configuration_is_valid() -> None:

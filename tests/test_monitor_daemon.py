@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,7 +22,7 @@ from patience import wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError, NotCovered
 from stopset.monitor import daemon as daemon_module
-from stopset.monitor.config import Bus, Config, Fallback, Publish, Stops
+from stopset.monitor.config import LEAST_RECOVER, Bus, Config, Fallback, Publish, Stops
 from stopset.monitor.daemon import MAX_FAULTS, Daemon
 from stopset.monitor.layout import Flag, State, unpack
 from stopset.monitor.profile import load_profile
@@ -385,6 +386,43 @@ def test_there_is_no_ok_before_it_is_known_how_fast_samples_come(make: Callable[
     daemon.run(never)
     assert bool({State.OK, State.DEGRADED} & set(wire.words)) == good
     assert any("whether samples come at the model's steps" in t["why"] for t in wire.slow["state/json"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes of Linux")
+def test_a_violation_is_latched_whatever_fails_in_its_cycle(make: Callable[..., Made]) -> None:
+    """What bounds stops had ended, and the machine had no descriptor for another one: the sample's violation went with the error."""
+    import resource
+
+    good = samples(60)
+    good[50] = replace(good[50], q=good[50].q + 0.5)
+    daemon, arm, wire = make([])
+    arm.script = [*good[:50], None]
+    while arm.script:
+        daemon.cycle()
+    assert not daemon.latch.latched and wait(lambda: daemon.desk._ready or daemon.desk._inbox)
+    daemon.desk._process.kill()
+    assert wait(lambda: "ended" in daemon.desk._inbox)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    arm.script, seen = good[50:52], daemon.desk.restarts
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, before[1]))
+        daemon.run(never)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert daemon.latch.latched and daemon.latch.count == 1 and State(wire.states[-1]["state"]) is State.VIOLATION
+    assert daemon.tally.faults == 0 and daemon.desk.restarts == seen + 1 and "cannot be begun" in daemon.desk.why
+    # as soon as the machine has one, it goes on
+    assert wait(lambda: daemon.desk.offer(time.time(), good[52].q, good[52].dq) or daemon.desk._ready)
+
+
+@pytest.mark.parametrize(("recover", "flaps"), [(0.0, True), (LEAST_RECOVER, False)])
+def test_good_cycles_between_bad_ones_are_no_ok(make: Callable[..., Made], recover: float, flaps: bool) -> None:
+    """Of drives that leave out the torque of every fourth cycle: why a configuration with no time to recover is refused."""
+    script = [s if k < 40 or k % 4 else replace(s, tau=None) for k, s in enumerate(samples(90))]
+    daemon, _, wire = make(script, publish={"recover_s": recover, "evidence_min_s": 0.0})
+    daemon.run(never)
+    later = [s["state"] for s in wire.states if s["t_meas_ns"] > wire.states[-1]["t_meas_ns"] - 40 * DT * 1e9]
+    assert State.UNKNOWN in later and bool({State.OK, State.DEGRADED} & set(later)) == flaps
 
 
 def test_a_model_whose_file_became_another_while_it_was_read_is_not_taken(make: Callable[..., Made], tmp_path: Path) -> None:

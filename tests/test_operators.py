@@ -15,7 +15,7 @@ from stopset.artifact.signature import new_key
 from stopset.cli.main import main
 from stopset.monitor.config import Operator
 from stopset.monitor.layout import unpack
-from stopset.monitor.operators import LIVES, WRAP, Moment, Operators, signed
+from stopset.monitor.operators import LIVES, WRAP, Moment, Operators, about, look, signed
 from stopset.monitor.orders import Reset, parse_reset
 from stopset.recording import write_recordings
 
@@ -49,6 +49,24 @@ def test_the_count_of_messages_may_begin_anew(keys: Path) -> None:
     who, seen = people(keys), Moment(7, 1, WRAP - 2)
     order = signed(ORDER, seen, keys / "smith")
     assert who.refused(order, Moment(7, 1, 1 + WRAP)) == "" and "obeyed already" in who.refused(order, Moment(7, 1, 9 + WRAP))
+
+
+@pytest.mark.parametrize("proven", [True, False])
+def test_an_order_clears_no_violation_after_the_message_it_is_about(keys: Path, proven: bool) -> None:
+    who = people(keys) if proven else Operators()
+    seen, now = Moment(7, 1, WRAP - 2), Moment(7, 1, 5 + WRAP)
+    order = signed(ORDER, seen, keys / "smith") if proven else about(ORDER, seen)
+    for violated in (now.seq, WRAP - 1):
+        assert "after the message" in who.refused(order, now, violated)
+    assert who.refused(order, now, WRAP - 2) == "", "this one was told in the message that was seen"
+
+
+def test_an_unsigned_order_that_names_a_message_is_good_once_and_now(keys: Path) -> None:
+    who = Operators()
+    assert who.refused(ORDER, NOW, NOW.seq) == "", "it names none: whatever is latched when it comes"
+    order = about(ORDER, NOW)
+    assert "earlier life" in who.refused(order, Moment(NOW.data_id, NOW.boot_id + 1, NOW.seq))
+    assert who.refused(order, NOW) == "" and "obeyed already" in who.refused(order, NOW)
 
 
 @pytest.mark.parametrize(
@@ -147,6 +165,38 @@ def test_a_real_monitor_is_cleared_by_a_key_alone(keys: Path, capsys: pytest.Cap
         ear.link.put("reset", overheard[-1])
         assert ear.wait(lambda: any("obeyed already" in e.get("why", "") for e in ear.events), 5.0)
         assert unpack(ear.raw[-1])["data_id"] == DATA_ID and not [e for e in ear.events if e["kind"] == "reset"]
+
+
+@pytest.mark.parametrize("proven", [True, False])
+def test_an_order_under_way_when_another_violation_comes_clears_neither(keys: Path, proven: bool) -> None:
+    """A person sees a violation and orders; before the order is there the arm leaves its model again, which nobody has seen."""
+    model, recording, port = keys / "arm.model.json", keys / "rec.parquet", free_port()
+    save_model(known_model(), model)
+    write_recordings(recording, meta(), [with_torque_scaled(motion(0, 200), 2, 1.5)])
+    source = '[joint_states]\nkey = "js"\ncycle_s = 0.004'
+    people = f'[[operators]]\nname = "A. Smith"\nkey = "{keys / "smith.pub"}"\n' if proven else ""
+    config = write_config(keys, model, people + source, port)
+
+    def ordered(seen: Moment) -> bytes:
+        return (signed(ORDER, seen, keys / "smith") if proven else about(ORDER, seen)).text()
+
+    with running("monitor", "--config", str(config)), Ear(port) as ear:
+        counts: list[int] = []
+        for _ in range(2):
+            with running("replay", str(recording), "--to", f"zenoh:tcp/127.0.0.1:{port}", "--key", "js") as replay:
+                replay.wait(timeout=600)
+            assert ear.wait(lambda: ear.twins and ear.twins[-1]["violation_count"] > sum(counts))
+            counts.append(unpack(ear.raw[-1])["violation_count"])
+            if len(counts) == 1:
+                seen = look(ear.link)
+        ear.link.put("reset", ordered(seen))
+        assert ear.wait(lambda: any("reset" in e["kind"] for e in list(ear.events)))
+        refused = next(e for e in ear.events if "reset" in e["kind"])
+        assert refused["kind"] == "reset_refused" and "after the message" in refused["why"]
+        assert unpack(ear.raw[-1])["violation_count"] >= counts[-1], "nothing is forgotten"
+        time.sleep(1.1)  # refusals are told once a second
+        ear.link.put("reset", ordered(look(ear.link)))
+        assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
 
 
 def test_nobody_named_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:

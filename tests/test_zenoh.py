@@ -418,10 +418,20 @@ def test_reset_by_command_waits_for_the_monitors_word(capsys: pytest.CaptureFixt
         reported = {"kind": kind, "why": "not now" if kind == "reset_refused" else "", "name": order.name, "reason": order.reason}
         daemon.put("event", json.dumps(reported).encode(), must_arrive=True)
 
+    over = threading.Event()
+
+    def live() -> None:
+        while not over.wait(0.05):
+            daemon.put("state", pack({"data_id": 1, "boot_id": 77, "seq": 5}))
+
+    thread = threading.Thread(target=live)
+    thread.start()
     try:
         daemon.subscribe("reset", take)
         assert main([*words, "--name", " A. Turner ", "--reason", "hose refitted"]) == 0
         assert "cleared, reset: by A. Turner: hose refitted" in capsys.readouterr().out
+        order = parse_reset(heard[-1])
+        assert order is not None and (order.boot_id, order.seq) == (77, 5), "it says which message it is about"
         assert main([*words, "--name", "A. Turner", "--reason", "no"]) == 1
         assert "refused: not now" in capsys.readouterr().out
         assert main([*words, "--name", "A. Turner", "--reason", "unheard"]) == 1
@@ -430,8 +440,13 @@ def test_reset_by_command_waits_for_the_monitors_word(capsys: pytest.CaptureFixt
         for name, reason in (("", "x"), ("x", "  "), ("x" * 201, "y")):
             assert main([*words, "--name", name, "--reason", reason]) == 2
             assert "expected 1 to 200 each" in capsys.readouterr().err
-        assert len(heard) == before
+        over.set()
+        thread.join()
+        assert main([*words, "--name", "A. Turner", "--reason", "hose refitted"]) == 2
+        assert "no monitor says anything here" in capsys.readouterr().err and len(heard) == before
     finally:
+        over.set()
+        thread.join()
         daemon.close()
 
 

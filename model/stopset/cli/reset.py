@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 
     from stopset.cli.sign import asked_passphrase
     from stopset.errors import BusError
-    from stopset.monitor.operators import look, signed
+    from stopset.monitor.operators import about, look, signed
     from stopset.monitor.orders import Reset
     from stopset.monitor.viewer.events import Event
     from stopset.monitor.viewer.words import plain
@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         link.subscribe("event", lambda _, data: heard.put(data))
         time.sleep(0.5)  # subscriptions travel before the order does
-        if args.key is not None:
-            order = signed(order, look(link), args.key, passphrase)
+        seen = look(link)
+        order = about(order, seen) if args.key is None else signed(order, seen, args.key, passphrase)
         link.put("reset", order.text(), must_arrive=True)
         end = time.monotonic() + WAIT_S
         while (left := end - time.monotonic()) > 0:

@@ -93,7 +93,7 @@ def _order(link: ZenohLink, args: argparse.Namespace) -> Callable[[str], None] |
     Raises `BusError`, `SigningKeyError`.
     """
     from stopset.cli.sign import asked_passphrase
-    from stopset.monitor.operators import Moment, look, signed
+    from stopset.monitor.operators import Moment, about, look, signed
     from stopset.monitor.orders import Reset
 
     name, key = args.reset_as, args.reset_key
@@ -105,8 +105,9 @@ def _order(link: ZenohLink, args: argparse.Namespace) -> Callable[[str], None] |
         signed(first, Moment(0, 0, 0), key, passphrase)
 
     def send(reason: str) -> None:
-        order = Reset.of(who, reason)
-        link.put("reset", (order if key is None else signed(order, look(link), key, passphrase)).text(), must_arrive=True)
+        order, seen = Reset.of(who, reason), look(link)
+        order = about(order, seen) if key is None else signed(order, seen, key, passphrase)
+        link.put("reset", order.text(), must_arrive=True)
 
     return send
 

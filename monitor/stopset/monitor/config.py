@@ -17,6 +17,7 @@ from stopset.errors import StopsetError
 Masses = tuple[
     float, float
 ]  # [kg] least and most; in the file a number alone stands for both, but 0 for nothing declared, as ever
+LEAST_RECOVER = 0.05  # [s] without any, a good cycle between two bad ones is OK
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}  # what is bounded for a category that is asked for
 
 
@@ -265,7 +266,7 @@ def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
         ("publish.stale_ms", config.publish.stale_ms, 1, 60000),
         ("publish.evidence_s", config.publish.evidence_s, 0.0, 10.0),
         ("publish.evidence_min_s", config.publish.evidence_min_s, 0.0, 10.0),
-        ("publish.recover_s", config.publish.recover_s, 0.0, 60.0),
+        ("publish.recover_s", config.publish.recover_s, LEAST_RECOVER, 60.0),
         ("stops.rate_hz", config.stops.rate_hz, 0.1, 1000.0),
         ("stops.core_share", config.stops.core_share, 1e-3, 16.0),
         ("stops.ramp_time_s", config.stops.ramp_time_s, 0.0, 10.0),
@@ -305,6 +306,38 @@ def _check_rtde(path: Path, r: Rtde) -> None:
             f"{path}: rtde.torque_constant is {list(constants)} beside {r.torque}; expected six numbers above 0 beside actual_current "
             "[N m/A, link side], and none else"
         )
+
+
+def _same(a: Path, b: Path) -> bool:
+    """Whether both name one file, there or not."""
+    try:
+        return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
+    except (OSError, RuntimeError):  # a name that is too long, a link to itself: whoever opens it says so
+        return False
+
+
+def _placed(p: Path, config: Config, text: str) -> Config:
+    """With file names from where the configuration ``p`` is, and the hash of its ``text``. Raises `ConfigError`."""
+    here = p.parent
+    zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
+    state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
+    journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
+    if not journal.name or os.path.isdir(journal):  # noqa: PTH112 - Path's raises for a name that is too long
+        raise ConfigError(f"{p}: journal is {config.journal!r}, a folder; expected the name of a file")
+    named = (p.name, config.model, config.keys, config.zenoh.file, *config.signed.keys, *(o.key for o in config.operators))
+    if other := next((x for x in named if x and _same(here / x, journal)), ""):
+        raise ConfigError(
+            f"{p}: journal is {config.journal!r}, and so is {other}; expected a file of its own, for it is written over"
+        )
+    record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
+    return dataclasses.replace(
+        config, model=str(here / config.model), zenoh=zenoh,
+        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
+        operators=tuple(dataclasses.replace(o, key=str(here / o.key)) for o in config.operators),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
+        keys=str(here / config.keys) if config.keys else "",
+        journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
+    )  # fmt: skip
 
 
 def load_config(path: str | Path) -> Config:
@@ -359,19 +392,5 @@ def load_config(path: str | Path) -> Config:
     for part in (config.site, config.cell, config.arm):
         if not part or any(c in part for c in "*/$#? "):
             raise ConfigError(f"{p}: site, cell and arm make up a zenoh key; {part!r} has an empty or special character")
-    here = p.parent
-    zenoh = dataclasses.replace(config.zenoh, file=str(here / config.zenoh.file) if config.zenoh.file else "")
-    state = Path(os.environ.get("STATE_DIRECTORY") or here)  # systemd's, see StateDirectory=
-    journal = here / config.journal if config.journal else state / f"{p.stem}.latch"
-    if not journal.name or journal.is_dir():
-        raise ConfigError(f"{p}: journal is {config.journal!r}, a folder; expected the name of a file")
-    record = here / config.record.folder if config.record.folder else journal.with_name(f"{p.stem}.record")
-    return dataclasses.replace(
-        config, model=str(here / config.model), zenoh=zenoh,
-        signed=dataclasses.replace(config.signed, keys=tuple(str(here / k) for k in config.signed.keys)),
-        operators=tuple(dataclasses.replace(o, key=str(here / o.key)) for o in config.operators),
-        sha256=hashlib.sha256(text.encode()).hexdigest(),
-        keys=str(here / config.keys) if config.keys else "",
-        limits=dataclasses.replace(config.limits, category=config.limits.category or asked[0]),
-        journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
-    )  # fmt: skip
+    limits = dataclasses.replace(config.limits, category=config.limits.category or asked[0])
+    return _placed(p, dataclasses.replace(config, limits=limits), text)

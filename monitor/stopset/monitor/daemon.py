@@ -89,6 +89,7 @@ class Daemon:
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
         self._arrived = float("-inf")
+        self._violated = -1  # the message that told the last violation of this life
         self._late_in_a_row = 0
         self._fault = self._last_words = self._disk = ""
         self._evidence: deque[Sample] = deque(maxlen=max(1, round(config.publish.evidence_s / cycle_s)))
@@ -187,6 +188,9 @@ class Daemon:
         self._evidence.append(s)
         self.pace.take(s.t)
         v = self.verdict = self.watch.step(s)
+        new = self.latch.take(s, v, now)  # before anything else, for nothing that fails below may lose it
+        if v.conformance is Conformance.VIOLATION:
+            self._violated = self.publisher.seq
         t = self.tally
         t.samples += 1
         t.verdicts[v.conformance.value] += 1
@@ -203,7 +207,6 @@ class Daemon:
                 self.publisher.event("realtime", why=self.granted.lacking)
         if self.recorder is not None:
             self.recorder.take(s, v, CODES[v.conformance], self.watch.inputs)
-        new = self.latch.take(s, v, now)
         if new:
             if self.recorder is not None:
                 self.recorder.incident(new[0].first, s.t)
@@ -264,7 +267,7 @@ class Daemon:
         """A person clears the latch, if this one may; where nothing is latched, the emergencies, which a latch would have hidden."""
         who, p, drives = self.operators, self.publisher, drives_of(self.source)
         emergencies = {} if self.latch.latched else self.latch.record.emergencies
-        if why := who.refused(order, Moment(self.config.data_id, p.boot, p.seq)):
+        if why := who.refused(order, Moment(self.config.data_id, p.boot, p.seq), self._violated):
             p.seldom("reset_refused", why=why)
             return
         if emergencies and now - self._unseen < HIDDEN:

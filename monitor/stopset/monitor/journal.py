@@ -33,6 +33,7 @@ _DIGEST = 16
 _GONE = bytes(2 * SLOT)  # of a journal that was begun and is not there any more
 _COUNTS = struct.Struct("<64Q")  # number of the record, how many counts, they themselves
 MOST_COUNTS = 62
+LOOKED_AT = 1.0  # [s] between two looks whether the file is still where it was
 _WORDS = (
     b"A journal of stopset's monitor was begun beside this file. Where it is gone the monitor takes a violation for latched.\n"
 )
@@ -41,11 +42,14 @@ _WORDS = (
 class Store(Protocol):
     """Where the two slots lie, and the counts; may raise `OSError`.
 
-    ``flush`` starts making what was written last, and need not wait: ``settled`` once the disk has all of it.
+    ``flush`` starts making what was written last, and need not wait: ``settled`` once the disk has all of it. ``astray``: a restart
+    would not find it, in words, empty if it would.
     """
 
     @property
     def settled(self) -> bool: ...
+    @property
+    def astray(self) -> str: ...
     def read(self) -> bytes: ...
     def write(self, offset: int, data: bytes) -> None: ...
     def flush(self) -> None: ...
@@ -158,6 +162,10 @@ class Journal:
         number, many, *counts = _COUNTS.unpack(body)
         return counts[:many] if number >= self._number else []
 
+    def look(self) -> None:
+        """Whether a restart would find it."""
+        self.trouble = self._store.astray or self.trouble
+
     def close(self) -> None:
         self._store.close()
 
@@ -165,12 +173,16 @@ class Journal:
 class FileStore:
     """Two slots in a file, made at a first start, locked against a second daemon. Raises `OutputError`.
 
-    A thread waits for the disk, so that the loop does not; ``trouble`` holds the disk's last complaint.
+    A thread waits for the disk, and looks whether the file is still where it was, so that the loop does not.
     """
 
     def __init__(self, path: Path, first: Any) -> None:
         begun, counts = path.with_name(f".{path.name}.begun"), path.with_name(f".{path.name}.counts")
         try:
+            if path.exists() and not path.is_file():
+                raise OutputError(
+                    f"the journal of the latch {path} is no file that lasts; expected one, or none yet: name another place"
+                )
             if not path.exists():
                 _make(path, _GONE if begun.exists() else blank(first))
             if not begun.exists():  # only now: a start that ends in between is a first one still
@@ -193,6 +205,7 @@ class FileStore:
                 f"another monitor holds the journal {path}; expected one monitor per arm: stop the other, or give this arm "
                 "a journal of its own"
             ) from e
+        self._path, self.astray = path, ""
         self._wake, self._closing = threading.Event(), False
         self._asked = self._synced = 0
         self._thread = threading.Thread(target=self._sync, daemon=True, name="journal")
@@ -204,6 +217,8 @@ class FileStore:
     def write(self, offset: int, data: bytes) -> None:
         if os.pwrite(self._fd, data, offset) != len(data):
             raise OSError("only a part was written")
+        if os.fstat(self._fd).st_size > 2 * SLOT:  # what somebody put behind it would be damage at every start
+            os.ftruncate(self._fd, 2 * SLOT)
 
     def flush(self) -> None:
         self._asked += 1
@@ -222,12 +237,30 @@ class FileStore:
 
     def _sync(self) -> None:
         while not self._closing:
-            self._wake.wait()
+            woken = self._wake.wait(LOOKED_AT)
+            self.astray = self._astray()
+            if not woken:
+                continue
             self._wake.clear()
             asked = self._asked
             with contextlib.suppress(OSError):  # the next write meets the same disk and says so
                 os.fdatasync(self._fd)
                 self._synced = asked
+
+    def _astray(self) -> str:
+        try:
+            there, ours = self._path.stat(), os.fstat(self._fd)
+            found = (there.st_dev, there.st_ino) == (ours.st_dev, ours.st_ino)
+        except OSError:
+            found = False
+        return (
+            ""
+            if found
+            else (
+                f"the journal of the latch is no longer at {self._path}, where a restart would look for it: what was seen may be forgotten then; "
+                "start the monitor anew while somebody watches the arm"
+            )
+        )
 
     def close(self) -> None:
         self._closing = True

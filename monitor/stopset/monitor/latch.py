@@ -150,6 +150,7 @@ class Latch:
             return ""
         if now - self._saved_at >= SAVE_EVERY and (self.record.count != self._saved or self._journal.trouble):
             self.save(now)
+        self._journal.look()
         return self._journal.trouble
 
     @property

@@ -63,13 +63,16 @@ def _text(order: Reset, seen: Moment) -> bytes:
     return CONTEXT + json.dumps(signed, separators=(",", ":"), ensure_ascii=True).encode()
 
 
+def about(order: Reset, seen: Moment) -> Reset:
+    """The order with the message that it is about: a violation after that one is not cleared."""
+    return msgspec.structs.replace(order, boot_id=seen.boot_id, seq=seen.seq)
+
+
 def signed(order: Reset, seen: Moment, key: str | Path, passphrase: str = "") -> Reset:
-    """The order with the signature of a secret key. Raises `SigningKeyError`."""
+    """The order, about ``seen``, with the signature of a secret key. Raises `SigningKeyError`."""
     secret = secret_key(key, passphrase)
     signature = base64.b64encode(secret.sign(_text(order, seen))).decode()
-    return msgspec.structs.replace(
-        order, boot_id=seen.boot_id, seq=seen.seq, key=key_id(secret.public_key()), signature=signature
-    )
+    return msgspec.structs.replace(about(order, seen), key=key_id(secret.public_key()), signature=signature)
 
 
 @dataclass(slots=True)
@@ -77,7 +80,7 @@ class Operators:
     """Who may clear the latch, by key; without any, every order that reached the monitor does, under the name it gives."""
 
     keys: dict[str, tuple[str, Any]] = field(default_factory=dict)
-    _last: int = -1  # message at which the last signed order was taken
+    _last: int = -1  # message at which the last order was taken
 
     @classmethod
     def of(cls, people: Sequence[Operator]) -> Operators:
@@ -93,10 +96,28 @@ class Operators:
                 )
         return cls(keys)
 
-    def refused(self, order: Reset, now: Moment) -> str:
-        """Why this order does not clear the latch, empty if it does; ``now``: the message the monitor is at."""
-        if not self.keys:
-            return ""
+    def refused(self, order: Reset, now: Moment, violated: int = -1) -> str:
+        """Why this order does not clear the latch, empty if it does.
+
+        ``now``: the message the monitor is at; ``violated``: the one of the last violation in this life, -1 if there was none.
+        """
+        if self.keys:
+            if why := self._unproven(order, now.data_id):
+                return why
+        elif not order.boot_id:
+            return ""  # an order that names no message is about all that is latched when it comes
+        name, age = self.name(order), (now.seq - order.seq) % WRAP
+        if order.boot_id != now.boot_id or age > LIVES:
+            return f"{name}'s order is about a message of long ago, or of an earlier life of this monitor: look again, and order anew"
+        if self._last >= 0 and age >= (now.seq - self._last) % WRAP:
+            return f"{name}'s order was obeyed already, or another after it: look again, and order anew"
+        if violated > now.seq - age:
+            return f"a violation has come after the message that {name}'s order is about: look at that one too, and order anew"
+        self._last = now.seq
+        return ""
+
+    def _unproven(self, order: Reset, data_id: int) -> str:
+        """Why this is not what one of these people has signed, empty if it is."""
         from cryptography.exceptions import InvalidSignature  # there since the keys were read: the loop imports nothing
 
         if not order.key:
@@ -105,17 +126,9 @@ class Operators:
             return f"the order is signed by the key {order.key[:16]}, which is no operator's of this monitor"
         name, key = self.keys[order.key]
         try:
-            key.verify(
-                base64.b64decode(order.signature, validate=True), _text(order, Moment(now.data_id, order.boot_id, order.seq))
-            )
+            key.verify(base64.b64decode(order.signature, validate=True), _text(order, Moment(data_id, order.boot_id, order.seq)))
         except (InvalidSignature, binascii.Error, ValueError):
             return f"the order is not what {name} signed, or is about another arm"
-        age = (now.seq - order.seq) % WRAP
-        if order.boot_id != now.boot_id or age > LIVES:
-            return f"{name}'s order is about a message of long ago, or of an earlier life of this monitor: look again, and order anew"
-        if self._last >= 0 and age >= (now.seq - self._last) % WRAP:
-            return f"{name}'s order was obeyed already, or another after it: look again, and order anew"
-        self._last = now.seq
         return ""
 
     def name(self, order: Reset) -> str:

@@ -19,7 +19,8 @@ _Text = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
 
 
 class Reset(msgspec.Struct, frozen=True):
-    """Who clears the latch, and why; signed, if the monitor asks for it (`stopset.monitor.operators`)."""
+    """Who clears the latch, and why; ``boot_id`` and ``seq`` of the message it is about, 0 for whatever is latched when it comes;
+    signed, if the monitor asks for it (`stopset.monitor.operators`)."""
 
     name: _Text
     reason: _Text

@@ -29,6 +29,7 @@ from stopset.sets import Box
 from stopset.types import Array
 
 HUNG = 60.0  # [s] without a word while something is asked: an answer takes a second at most, where the machine is busy ten
+AGAIN = 1.0  # [s] between two tries to begin it where the machine refuses
 RESTARTS = 5  # of the other process, then it stays ended
 TINY = 1e-9  # [rad, rad/s]
 LEFT = "the arm has left the states the last bounds were computed for"
@@ -64,6 +65,7 @@ class StopDesk:
     _looked: float = float("-inf")
     _heard: float = 0.0  # [s] when it said something last, or was asked first
     _turn: int = 0
+    _again: float = float("inf")  # [s] when it is to be begun once more
 
     def __post_init__(self) -> None:
         self.budget = Budget(self.stops.core_share)
@@ -114,6 +116,9 @@ class StopDesk:
         self._motion.see(t, q, dq)
         self._collect()
         now, period = self.clock.monotonic(), 1.0 / self.stops.rate_hz
+        if now >= self._again:
+            self._again = float("inf")
+            self._begin_again()
         if now - self._heard > HUNG and self._pipe is not None and not (self._ready and self._idle):
             self._heard = now
             self._process.kill()  # which is told by its thread, as any end
@@ -154,10 +159,17 @@ class StopDesk:
     def _lost(self) -> None:
         self.why = "the process that bounds stops has ended; it is started again"
         self.restarts += 1
-        if self.restarts < RESTARTS:
-            self._start()
-        else:
+        if self.restarts >= RESTARTS:
             self._pipe, self._ready, self.why = None, False, "the process that bounds stops keeps ending; no stop provable"
+        else:
+            self._begin_again()
+
+    def _begin_again(self) -> None:
+        try:
+            self._start()
+        except (OSError, RuntimeError) as e:  # the machine gives no process, pipe or thread now; perhaps later
+            self._pipe, self._ready, self._again = None, False, self.clock.monotonic() + AGAIN
+            self.why = f"the process that bounds stops cannot be begun ({e}); no stop provable until it can"
 
     def now(self, q: Array, dq: Array) -> tuple[dict[str, Numbers], bool]:
         """Bounds by category that hold for this state, and whether all of them were answered for it."""
