@@ -158,6 +158,9 @@ def run(effects: Sequence[Fitted], states: int, count: int, seed: int, *, blind:
     n, bounded, done, wrong = model.n, 0, 0, list[str]()
     asked = [(c, name, ramp) for name, ramp in ramps(n).items() for c in (CATEGORIES if name == "SS1-t" else ("1 guaranteed",))]
     ready = {name: StopBounds.of(known, (0.0, model.domain.payload[1]), ramp=ramp, fast=True) for name, ramp in ramps(n).items()}
+    ready["works"] = replace(
+        ready["SS1-t"], ramp=replace(ramps(n)["SS1-t"], off_after=None)
+    )  # power stays on until the arm rests
     for k in range(states):
         category, name, _ = asked[k % len(asked)]
         q, dq = (
@@ -166,7 +169,7 @@ def run(effects: Sequence[Fitted], states: int, count: int, seed: int, *, blind:
         )
         radii = (np.full(n, 0.01), np.full(n, 0.03)) if k % 2 else (np.zeros(n), np.zeros(n))
         dq = np.clip(dq, radii[1] - TOP, TOP - radii[1])
-        bounds = ready[name]
+        bounds = ready["works" if category == "1" else name]
         b = bounds.bound(q, dq, category, *radii)
         if b.time is None:
             continue

@@ -148,6 +148,42 @@ def test_what_is_no_arm_is_refused_by_name(text: str, says: str, capfd: pytest.C
     assert capfd.readouterr() == ("", ""), "the sentence is all that is said"
 
 
+@pytest.mark.parametrize(
+    ("sheet", "says"),
+    [
+        ({"gravity": [0, 0, -1]}, "gravity is .*expected three numbers"),
+        ({"gravity": [0, 0, -981]}, "gravity is"),
+        ({"gravity": "down"}, "gravity is"),
+        ({"joints": []}, "joints is .*expected an object"),
+        ({"brake_torque_nominal_Nm": 12000, "torque_limit_Nm": 20}, "brake_torque_nominal_Nm is 12000 .*in N m"),
+        ({"brake_tolerance": 10}, "brake_tolerance is 10; expected a share below 1"),
+        ({"brake_tolerance": 1.0}, "brake_tolerance"),
+        ({"brake_delay_s": [15, 60]}, "brake_delay_s is .*in seconds"),
+        ({"brake_delay_s": [0.1, float("inf")]}, "brake_delay_s"),
+        ({"brake_rise_s": ["0.1", 0.2]}, "brake_rise_s"),
+        ({"brake_rise_s": [0.2, 0.1]}, "brake_rise_s"),
+    ],
+)
+def test_a_data_sheet_in_other_units_is_refused(sheet: dict[str, object], says: str) -> None:
+    """In g, N mm, % or ms a stop would be bounded as if the arm weighed nothing or its brakes held a thousand times as much."""
+    of_arm = {"gravity", "joints"} & set(sheet)
+    with pytest.raises(RobotError, match=says):
+        robot_from_text(ARM, {**FINGERS, **(sheet if of_arm else {"joints": {"shoulder": sheet}})})
+
+
+def test_a_data_sheet_as_makers_print_them_is_taken() -> None:
+    row = {
+        "brake_torque_nominal_Nm": 44,
+        "torque_limit_Nm": 20,
+        "brake_tolerance": 0.3,
+        "brake_delay_s": [0, 0.1],
+        "brake_rise_s": [0.0, 0.03],
+    }
+    robot = robot_from_text(ARM, {**FINGERS, "joints": {"shoulder": row}, "gravity": [0, -6.9, -6.9]})
+    assert robot.drives[0].brake_torque == 44.0 and robot.drives[0].brake_delay == (0.0, 0.1)
+    assert np.all(robot_from_text(ARM, {**FINGERS, "gravity": [0, 0, 0]}).chain.gravity == 0.0)
+
+
 def test_what_is_locked_or_beside_a_named_tip_is_not_refused() -> None:
     slides, follows = serial("revolute", "prismatic"), serial("revolute", "revolute", more=LIMIT + '<mimic joint="j1"/>')
     for text in (slides, follows):

@@ -25,7 +25,7 @@ STATE = (0.3, 0.5, -0.2, 0.4, -0.5, 0.3)
 def tunables(model: Model) -> dict[str, tuple[float, float]]:
     """Every real one, with a value within what was identified and one beyond it."""
     given = {
-        "payload_mass": (0.5, 2.5), "payload_lo": (0.0, -0.5), "payload_hi": (1.5, 2.5), "ss1_off_after": (0.1, -1.0), "warm": (1.0, 1.5),
+        "payload_mass": (0.5, 2.5), "payload_lo": (0.0, -0.5), "payload_hi": (1.5, 2.5), "ss1_off_after": (0.36, -1.0), "warm": (1.0, 1.5),
     }  # fmt: skip
     for j in model.joints:
         given |= {f"temp_lo_{j}": (20.0, 10.0), f"temp_hi_{j}": (40.0, 60.0)}

@@ -41,7 +41,11 @@ def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> Non
     s = prepared.setting
     assert s is not None
     x, r = np.concatenate([Q, DQ]), np.concatenate(BOX)
-    reported = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1", "1 guaranteed", "2")}
+    assert prepared.ramp is not None
+    works = replace(prepared, ramp=replace(prepared.ramp, off_after=None))  # power stays on until it has stopped the arm
+    asked = {"0": prepared, "1": works, "1 guaranteed": prepared, "2": prepared}
+    reported = {c: answer_for(b, c, x - r, x + r).numbers for c, b in asked.items()}
+    assert "power is taken 0.1 s after" in answer_for(prepared, "1", x - r, x + r).numbers.why
     assert all(x.provable.all() for x in reported.values())
     narrow = prepared.bound(Q, DQ, "0")
     assert narrow.forward is not None and narrow.time is not None
@@ -56,7 +60,7 @@ def test_an_answer_holds_for_every_state_of_its_box(prepared: StopBounds) -> Non
         longer += bool(np.any(x.forward > narrow.forward + 1e-3))
         for category in ("1", "1 guaranteed", "2"):
             # bounds of a state of the box lie in those of the box, to within the steps of time they are made with
-            alone = prepared.bound(q, dq, category)
+            alone = asked[category].bound(q, dq, category)
             assert alone.forward is not None and alone.back is not None
             assert np.all(alone.forward <= reported[category].forward + 2e-3) and np.all(
                 alone.back <= reported[category].back + 2e-3

@@ -40,7 +40,7 @@ KEYS = [
     "certified",
     "why",
 ]
-RAMP = ["--ramp-time", "0.3", "--off-after", "0.1"]
+RAMP = ["--ramp-time", "0.3", "--off-after", "0.33"]
 SWEPT = np.array([[0.0, 0.0, 0.2, 0.0, 0.0, 0.5, 0.1], [0.0, 0.0, 0.5, 0.3, 0.3, 0.9, 0.4]])  # capsules [m]
 TERMS = ["--reaction", "0.1", "--intrusion", "0.85", "--person-uncertainty", "0.1", "--robot-uncertainty", "0.02"]
 
@@ -161,9 +161,9 @@ def test_a_pose_with_all_axes_and_its_separation_distance(model: str, tmp_path: 
         (["--ramp-deceleration", "nan"], "positive"),
         (["--ramp-time", "0.3", "--off-after", "nan"], "not negative"),
         (["--ramp-time", "0.3", "--off-after", "1e9"], "0 to 60 s"),
-        (["--ramp-time", "0.3", "--off-after", "0.1", "--failed-speed", "nan"], "not negative"),
-        (["--ramp-time", "0.3", "--off-after", "0.1", "--failed-speed", "-5"], "not negative"),
-        (["--ramp-time", "0.3", "--off-after", "0.1", "--failed-speed", "1e9"], "0 to 1000 %"),
+        (["--ramp-time", "0.3", "--off-after", "0.33", "--failed-speed", "nan"], "not negative"),
+        (["--ramp-time", "0.3", "--off-after", "0.33", "--failed-speed", "-5"], "not negative"),
+        (["--ramp-time", "0.3", "--off-after", "0.33", "--failed-speed", "1e9"], "0 to 1000 %"),
         (["--payload", "nan"], "at least 0 kg"),
         (["--payload", "1e9", "--extrapolate-payload"], "at most 1000 kg"),
         (["--payload", "inf", "--extrapolate-payload"], "at most 1000 kg"),
@@ -333,7 +333,7 @@ def test_states_beyond_the_recordings_have_no_number_unless_asked_for_and_then_a
     ):  # fmt: skip
         path = tmp_path / "d.model.json"
         save_model(model, path)
-        asked = ["stops", str(path), "--at", pose, "--speed", speed, "--ramp-time", "0.3", "--off-after", "0.1"]
+        asked = ["stops", str(path), "--at", pose, "--speed", speed, "--ramp-time", "0.3", "--off-after", "0.33"]
         assert main([*asked, "--json", str(out[0])]) == 1
         rows = json.loads(out[0].read_text())
         assert len(rows) == 24 and all(list(r) == KEYS and not r["certified"] for r in rows)

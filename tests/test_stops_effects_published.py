@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,7 @@ def test_along_a_path_the_arm_is_held_and_goes_no_farther_than_told(name: str) -
     """1,440 true poses of arms that are led along a path as they read it: margins, the tool's way and its box."""
     model, rng, poses = hiding(CASES[name]), np.random.default_rng(3), 0
     n = model.n
-    ramp = ramps(n)["SS1-t"]
+    ramp = replace(ramps(n)["SS1-t"], off_after=None)  # power stays on until the arm rests
     bounds = StopBounds.of(model, (0.0, 1.0), ramp=ramp)
     assert bounds.setting is not None
     for _ in range(5):

@@ -16,7 +16,10 @@ from stop_failing import sample_failed_ramps
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.failed import FAST_SLICES, SLICES, Cover, StatesAtCut, cover, failed_cells
+from stopset.reach.stops.path import Path as ArmPath
+from stopset.reach.stops.path import path_stop
 from stopset.reach.stops.tube import OK
+from stopset.simulation.stop import StoppingArm, simulate_stop
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
@@ -204,3 +207,35 @@ def test_beyond_the_budget_the_kinetic_energy_bounds_it_and_the_bound_says_so() 
 def test_without_a_time_for_power_off_there_is_no_number() -> None:
     bound = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=Ramp.stated(6, time=0.3)).bound(np.zeros(6), np.ones(6), "1 guaranteed")
     assert not bound.certified and bound.time is None and "--off-after" in bound.why
+
+
+def test_a_ramp_that_power_is_taken_from_is_no_stop_by_the_ramp() -> None:
+    """SS1-t before the arm is at rest: brakes that have yet to close stop it, farther than the ramp would have."""
+    model, rng, off = prbt_like((0.0, 3.0)), np.random.default_rng(0), 0.05
+    whole = StopBounds.of(model, (3.0, 3.0), ramp=Ramp.stated(6, time=0.15), fast=True)
+    cut = replace(whole, ramp=whole.ramp.failing(off))
+    p, left = whole.setting.plant, 0
+    late = (p.rotor, p.coulomb_lo, p.viscous_lo, p.brake_lo, p.delay_hi, p.rise_hi)
+    for k in range(60):
+        q, dq = rng.uniform(-2.0, 2.0, 6), rng.uniform(-1.2, 1.2, 6)
+        ramp = whole.bound(q, dq, "1")
+        begun = dq * (off - off * off / 0.3)
+        qs, _ = simulate_stop(
+            StoppingArm(p.chain, p.pi + p.pi_half, *late), q + begun, dq * (1.0 - off / 0.15), 5e-4, 600, np.zeros((1, 6))
+        )
+        ahead, behind = (qs - q).max(axis=0), -(qs - q).min(axis=0)
+        escapes = bool(np.any(ahead > ramp.forward + 1e-4) or np.any(behind > ramp.back + 1e-4))
+        left += escapes
+        if k < 3 or escapes:
+            told, caught = cut.bound(q, dq, "1"), cut.bound(q, dq, "1 guaranteed")
+            assert ramp.certified and caught.certified and cut.bound(q, dq, "2").certified
+            assert told.time is None and "power is taken 0.05 s after the request" in told.why
+            assert CompiledStops.of(cut.setting, cut.ramp).bound(q, dq, "1") is None
+            assert np.all(ahead <= caught.forward + 1e-5) and np.all(behind <= caught.back + 1e-5)
+    assert left > 0  # or the refusal is for nothing
+    at_rest = replace(whole, ramp=whole.ramp.failing(0.15 + 0.024))
+    assert at_rest.bound(q, dq, "1").certified
+    way = ArmPath.through(np.array([q, q + 0.2]))
+    assert path_stop(whole, way, 0.0, 0.5).bound.time is not None
+    sooner = replace(whole, ramp=whole.ramp.failing(0.02))
+    assert "power is taken 0.02 s after" in path_stop(sooner, way, 0.0, 0.5).bound.why

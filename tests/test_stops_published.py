@@ -36,6 +36,7 @@ RAMP = replace(
     q_error=np.full(N, 2e-3), dq_error=np.full(N, 0.04), settle=0.1, pace=(-0.4, 0.4), off_after=0.15,
 )  # fmt: skip
 BOUNDS = StopBounds.of(prbt_like(), (0.0, 0.25), ramp=RAMP, pieces=8)
+WORKING = replace(BOUNDS, ramp=replace(RAMP, off_after=None))  # power stays on until it has stopped the arm
 WATCHED = replace(BOUNDS, ramp=replace(RAMP, monitored=True, off_after=None))
 BRAKED = replace(
     WATCHED,
@@ -72,7 +73,7 @@ def test_every_number_has_a_check() -> None:
 @pytest.mark.parametrize("radii", [POINT, BOX], ids=["a state", "a monitor's box"])
 def test_no_stop_contradicts_a_number(category: Category, radii: tuple[np.ndarray, np.ndarray]) -> None:
     for q, dq in states():
-        for bounds in (BOUNDS, WATCHED, BRAKED) if category == "1 guaranteed" else (BOUNDS,):
+        for bounds in (BOUNDS, WATCHED, BRAKED) if category == "1 guaranteed" else (WORKING,):
             bound = bounds.bound(q, dq, category, *radii)
             assert bound.certified, bound.why
             for x in stops_of(bounds, bound, q, dq, radii):
@@ -100,9 +101,9 @@ def test_no_stop_of_other_arms_contradicts_a_number(name: str, kind: str) -> Non
         q_error=np.full(n, 2e-3), dq_error=np.full(n, 0.04), settle=0.1, pace=(-0.6, 0.6), off_after=0.1,
     )  # fmt: skip
     bounds = StopBounds.of(model, (0.4 * rated, 0.6 * rated), model.robot.tip + rng.uniform(-0.1, 0.1, 3), ramp=ramp, fast=True)
-    watched = replace(bounds, ramp=replace(ramp, monitored=True, off_after=None))
+    watched, working = (replace(bounds, ramp=replace(ramp, monitored=m, off_after=None)) for m in (True, False))
     radii, told = (np.full(n, 0.01), np.full(n, 0.05)), 0
-    for category, b in (("0", bounds), ("1", bounds), ("2", bounds), ("1 guaranteed", bounds), ("1 guaranteed", watched)):
+    for category, b in (("0", bounds), ("1", working), ("2", bounds), ("1 guaranteed", bounds), ("1 guaranteed", watched)):
         q, dq = rng.uniform(-2.5, 2.5, n), 0.5 * rng.uniform(-1.0, 1.0, n) * top * (rng.random(n) < 0.8)
         bound = b.bound(q, dq, category, *radii)
         if bound.certified:
@@ -116,13 +117,14 @@ def test_no_stop_of_other_arms_contradicts_a_number(name: str, kind: str) -> Non
 def test_each_number_made_too_small_is_contradicted(category: Category) -> None:
     found = set()
     for q, dq in states():
-        bound = BOUNDS.bound(q, dq, category)
-        stops = stops_of(BOUNDS, bound, q, dq)
+        bounds = BOUNDS if category == "1 guaranteed" else WORKING
+        bound = bounds.bound(q, dq, category)
+        stops = stops_of(bounds, bound, q, dq)
         for name in CHECKED:
             if name in found or (name == "fallback" and bound.fallback is None):
                 continue
             weak = weakened(bound, name)
-            found |= {name for x in stops[: STOPS // 2] if name in beyond(BOUNDS, weak, x)}
+            found |= {name for x in stops[: STOPS // 2] if name in beyond(bounds, weak, x)}
     assert found == set(CHECKED) - (set() if category == "2" else {"fallback"})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -16,15 +17,17 @@ from stop_sampling import ANGLE_ERROR, DT
 from stopset.artifact import Model, save_model
 from stopset.cli.main import main
 from stopset.offline.stops.directions import hull
+from stopset.offline.stops.poses import SLACK, Poses
 from stopset.offline.stops.separation import protective_separation
 from stopset.offline.stops.shown import terms
-from stopset.offline.stops.table import Question, StopRow, holding, prepared, stop_table
+from stopset.offline.stops.table import ONE_POSE, Question, StopRow, holding, prepared, stop_table
 from stopset.reach.stops import Category, Ramp, StopBounds
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
 
 RAMP = Ramp.stated(6, time=0.5).failing(0.3)
+WORKING = replace(RAMP, off_after=None)
 KG = 2.0
 STILL = (np.zeros(6), np.zeros(6))
 
@@ -60,10 +63,18 @@ def test_every_number_of_a_table_holds_in_every_direction(
     category: Category, model: Model, bounds: StopBounds, tmp_path: Path
 ) -> None:
     save_model(model, tmp_path / "m.json")
-    asked = ["--category", category, "--payload", f"{KG:g}", "--ramp-time", "0.5", "--off-after", "0.3"]
+    asked = [
+        "--category",
+        category,
+        "--payload",
+        f"{KG:g}",
+        "--ramp-time",
+        "0.5",
+        *([] if category == "1" else ["--off-after", "0.3"]),
+    ]
     assert main(["stops", str(tmp_path / "m.json"), *asked, "--json", str(tmp_path / "a.json"), "--quiet"]) == 0
     told = json.loads((tmp_path / "a.json").read_text())
-    rows = stop_table(model, Question(RAMP, (category,), payload=KG)).rows
+    rows = stop_table(model, Question(WORKING if category == "1" else RAMP, (category,), payload=KG)).rows
     assert [r.as_json() for r in rows] == told
     speed = np.full(6, 1.26)
     for row, said in zip(rows, told, strict=True):
@@ -73,6 +84,17 @@ def test_every_number_of_a_table_holds_in_every_direction(
             dq = np.zeros(6)
             dq[group] = np.array(signs) * speed[group] * row.speed_percent / 100.0
             assert np.all(worst_found(bounds, row, category, dq) <= number), (row.joint, row.speed_percent, signs)
+
+
+def test_a_table_says_that_its_rows_are_of_one_pose_each(model: Model) -> None:
+    """At a third of the reach others carry the tool twice as far: whoever reads a row as the worst of its extension must be told."""
+    question = Question(RAMP, ("0",), payload=KG)
+    table, bounds = stop_table(model, question), prepared(model, KG, question)
+    row = next(r for r in table.rows if r.joint == "arm_2_joint" and (r.speed_percent, r.extension_percent) == (100.0, 33.0))
+    poses, dq = Poses.of(model.robot, model.robot.tip, model.domain.q), 1.26 * np.eye(6)[1]
+    near = poses.q[(np.abs(poses.extension - 0.33) <= SLACK) & poses.seen][:60]
+    assert row.tcp_m is not None and ONE_POSE in table.assumptions
+    assert max(bounds.bound(q, dq).tcp or 0.0 for q in near) > 1.3 * row.tcp_m, "else the sentence is not needed"
 
 
 def test_a_hull_holds_each_of_its_stops(bounds: StopBounds) -> None:

@@ -12,6 +12,9 @@ from stopset.errors import RobotError
 from stopset.types import Array
 
 STANDARD_GRAVITY = 9.81  # [m/s^2] as in most URDF tools; the data sheet's "gravity" overrides it
+ON_EARTH = (9.5, 10.1)  # [m/s^2], rounded numbers too; else none, of an arm that is balanced or floats
+LATEST = 2.0  # [s] no brake begins or rises later: it was stated in milliseconds
+STRONGEST = 20.0  # times its drive's torque limit: no brake holds more, it was stated in N mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +44,24 @@ def drives_of(joints: Sequence[str], sheet: Mapping[str, Any]) -> tuple[tuple[Dr
 
 def gravity_of(sheet: Mapping[str, Any], source: str) -> Array:
     """(3,) [m/s^2] in the base frame. Raises `RobotError`."""
-    gravity = np.array(sheet.get("gravity", [0.0, 0.0, -STANDARD_GRAVITY]), float)
-    if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
-        raise RobotError(f"robot.json of {source}: gravity is {sheet['gravity']}; expected three numbers [m/s^2]")
+    try:
+        gravity = np.array(sheet.get("gravity", [0.0, 0.0, -STANDARD_GRAVITY]), float)
+    except (TypeError, ValueError):
+        gravity = np.array([])
+    size = float(np.linalg.norm(gravity))
+    if gravity.shape != (3,) or not (size == 0.0 or ON_EARTH[0] <= size <= ON_EARTH[1]):
+        raise RobotError(
+            f"robot.json of {source}: gravity is {sheet['gravity']}; expected three numbers [m/s^2], {ON_EARTH[0]:g} to {ON_EARTH[1]:g} "
+            "together, or three zeros where nothing weighs on the arm: give it in the base frame"
+        )
     return gravity
 
 
 def _drive(joint: str, sheet: Mapping[str, Any], notes: list[str]) -> Drive:
-    row = sheet.get("joints", {}).get(joint, {})
+    rows = sheet.get("joints", {})
+    if not isinstance(rows, Mapping):
+        raise RobotError(f"robot.json: joints is {rows!r}; expected an object with an entry for each joint by its name")
+    row = rows.get(joint, {})
     if not isinstance(row, Mapping):
         raise RobotError(f"robot.json: the entry of joint {joint} is {row!r}; expected an object")
     unknown = set(row) - _KNOWN
@@ -65,20 +78,26 @@ def _drive(joint: str, sheet: Mapping[str, Any], notes: list[str]) -> Drive:
         value = row.get(key)
         if value is None:
             return (float("nan"), float("nan"))
-        if not (isinstance(value, list) and len(value) == 2 and 0 <= value[0] <= value[1]):
-            raise RobotError(f"robot.json: {joint}.{key} is {value!r}; expected [lo, hi] in seconds")
+        numbers = isinstance(value, list) and len(value) == 2 and not any(isinstance(x, (bool, str)) or x is None for x in value)
+        if not (numbers and 0 <= value[0] <= value[1] <= LATEST):
+            raise RobotError(f"robot.json: {joint}.{key} is {value!r}; expected [lo, hi] in seconds, at most {LATEST:g}")
         return (float(value[0]), float(value[1]))
 
     gear = number("gear_ratio")
     reflected = number("motor_inertia_kgm2") * gear**2
     if not np.isfinite(reflected):
         reflected = number("reflected_motor_inertia_kgm2")
+    limit, brake, tolerance = number("torque_limit_Nm"), number("brake_torque_nominal_Nm"), number("brake_tolerance")
+    if brake > STRONGEST * limit > 0.0:
+        raise RobotError(
+            f"robot.json: {joint}.brake_torque_nominal_Nm is {brake:g} where torque_limit_Nm is {limit:g}; expected at most {STRONGEST:g} "
+            "times as much: give both in N m on the link's side of the gear"
+        )
+    if tolerance >= 1.0:
+        raise RobotError(
+            f"robot.json: {joint}.brake_tolerance is {tolerance:g}; expected a share below 1: 0.3 where the torque is known within 30 %"
+        )
     return Drive(
-        gear_ratio=gear,
-        rotor_inertia=reflected,
-        torque_limit=number("torque_limit_Nm"),
-        brake_torque=number("brake_torque_nominal_Nm"),
-        brake_delay=interval("brake_delay_s"),
-        brake_rise=interval("brake_rise_s"),
-        brake_tolerance=number("brake_tolerance"),
-    )
+        gear_ratio=gear, rotor_inertia=reflected, torque_limit=limit, brake_torque=brake, brake_delay=interval("brake_delay_s"),
+        brake_rise=interval("brake_rise_s"), brake_tolerance=tolerance,
+    )  # fmt: skip

@@ -203,6 +203,9 @@ class StopBounds:
         time = ramp_time(ramp, speeds.lo, speeds.hi)
         if time is None:
             return self._refused(category, NO_REST, q)
+        early = early_cut(ramp, float(time.max())) if category == "1" else None
+        if early is not None:
+            return self._refused(category, early, q)
         extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
         refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube) + extra)
         if refusal:
@@ -224,8 +227,6 @@ class StopBounds:
         else:
             if margin.min() <= 0:
                 return self.refused_for(category, margin, q)
-            early = early_cut(ramp, float(time.max()))
-            assumptions = assumptions if early is None else (*assumptions, early)
         return replace(self._bound_of(category, [tube], time, start, margin, assumptions), fallback=fallback)
 
     def _fallback(self, q: Array, q_radius: Array, tube: Tube) -> tuple[float, float] | None:

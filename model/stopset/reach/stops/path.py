@@ -20,7 +20,7 @@ from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.setting import Setting, beyond_domain
 from stopset.reach.stops.types import StopBound
-from stopset.reach.stops.words import NO_REST, UNSEEN, ramp_assumptions
+from stopset.reach.stops.words import NO_REST, UNSEEN, early_cut, ramp_assumptions
 from stopset.robot.rigid import link_frames
 from stopset.types import Array
 
@@ -216,6 +216,9 @@ def _judged(bounds: StopBounds, setting: Setting, ramp: Ramp, passed: Passed, ou
         )
     if ramp.after is None:
         return StopBound("1", certified=False, why=NO_REST, assumptions=setting.assumptions)
+    early = early_cut(ramp, float(out[0].max()))
+    if early is not None:
+        return StopBound("1", certified=False, why=early, assumptions=setting.assumptions)
     # wherever it is led: a ramp that begins early ends before the last pose
     near = ramp.q_error + setting.noise.radius[: bounds.model.n] + 0.5 * np.diff(passed.s).max() * passed.first
     margins = np.array([bounds.margin(q, near) for q in poses])

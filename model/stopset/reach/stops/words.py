@@ -64,12 +64,12 @@ def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
 
 
 def early_cut(ramp: Ramp, time: float) -> str | None:
-    """A sentence where SS1-t takes the power before a working ramp has brought the arm to rest at ``time`` [s]."""
+    """Why there is no stop by a ramp that works where SS1-t takes the power before it has brought the arm to rest at ``time`` [s]."""
     if ramp.off_after is None or ramp.off_after >= time:
         return None
     return (
-        f"power is taken {ramp.off_after:g} s after the request, before this stop's {time:.3g} s are over: count with the "
-        "guaranteed stop"
+        f"no stop provable by the ramp alone: power is taken {ramp.off_after:g} s after the request, before the {time:.3g} s until it has "
+        "brought the arm to rest are over; count with the guaranteed stop, or state a later time (--off-after)"
     )
 
 

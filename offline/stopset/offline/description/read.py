@@ -59,6 +59,8 @@ def load_robot(where: str | Path, tip: str | None = None, lock: Sequence[str] = 
         sheet = json.loads(sheet_text) if sheet_text else {}
     except (ValueError, RecursionError) as e:
         raise RobotError(f"robot.json beside {source} is not JSON ({e}); mend or remove it") from e
+    if not isinstance(sheet, dict):
+        raise RobotError(f"robot.json beside {source} is a {type(sheet).__name__}; expected an object: mend or remove it")
     if tip is not None:
         sheet = {**sheet, "tip": tip}
     if lock:

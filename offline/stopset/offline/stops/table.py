@@ -2,7 +2,7 @@
 
 One axis moves at a time, from the pose near the extension where gravity loads it most; the three axes are those that move the
 tool centre point fastest.  Rows with all three axes at once stand beside them, since several axes together can take longer.
-Each number of a row holds in every direction, whichever is the worst for it.
+Each number of a row holds in every direction, whichever is the worst for it; and from its pose: others of the extension may be worse.
 """
 
 from __future__ import annotations
@@ -28,6 +28,10 @@ from stopset.types import Array
 
 SHARES = (33, 66, 100)
 PIECES = 64
+ONE_POSE = (
+    "each row is of one pose, among those near its extension the one where gravity loads its axis most; from another pose of the same "
+    "extension the arm may go farther: ask for it with --at"
+)
 LIGHTEST = 1e-3  # [kg] of a rated payload
 LOAD_TOLERANCE = 0.02  # of the largest payload: how well a stated payload is known
 
@@ -214,6 +218,7 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
     rows.sort(key=lambda r: (order[r.category], r.joint, r.payload_percent, r.extension_percent, r.speed_percent))
     limits = ", ".join(f"{j} {v:.3g}" for j, v in zip(model.joints, speed, strict=True))
     assumptions += (f"100 % speed is, in rad/s, the smaller of data sheet and identified domain: {limits}",)
+    assumptions += (ONE_POSE,)
     if model.domain.payload[1] <= 0 and question.rated is None and question.payload is None:
         assumptions += (
             "no recording carried a payload, so every row is without; --rated-payload KG --extrapolate-payload computes 33/66/100 % of it",

@@ -392,5 +392,6 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     for (int i = 0; i < t.n; i++) out->time[i] = passed->time + after;
     if (!seen(&t, passed)) return STOPSET_PATH_UNSEEN;
     if (!(after >= 0.0)) return STOPSET_PATH_UNSETTLED;
+    if (ramp->off_after >= 0.0 && ramp->off_after < passed->time + after) return STOPSET_PATH_UNSETTLED; /* power is taken before */
     return held(&t, s, passed) ? STOPSET_OK : STOPSET_PATH_FALLS;
 }

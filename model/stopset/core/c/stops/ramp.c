@@ -162,6 +162,8 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
     for (int i = 0; i < n; i++) {
         const double fast = most(size_of(dq[i] - dq_radius[i]), size_of(dq[i] + dq_radius[i]));
         out->time[i] = r->control_hi[i] + (r->timed ? r->value_hi[i] : fast / r->value_lo[i]) + after;
+        /* power is taken before the ramp has brought the arm to rest: it does not stop by the ramp */
+        if (!stays && r->off_after >= 0.0 && r->off_after < out->time[i]) return 1;
     }
     if (!feasible(&a, r, &plant, fastest)) return 1;
     if (stays)
