@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Model
+from stopset.cli.main import main
 from stopset.errors import RecordingError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot, robot_from_text
@@ -18,7 +19,8 @@ from stopset.offline.diagnose import diagnose_model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.offline.inspect import inspect_recordings
-from stopset.recording import Recordings, write_recordings
+from stopset.offline.inspect.findings_torque import torque_shares
+from stopset.recording import Recordings, read_recordings, write_recordings
 from stopset.simulation import Scenario, prepare
 from test_hidden_effects import ARM
 
@@ -163,3 +165,29 @@ def test_a_load_weighed_alone_is_known_no_better_than_the_drives_scale() -> None
     alone = next(w for w in payloads.simulated(load_robot("lwa4p"), 708) if w.kind.endswith("alone"))
     assert alone.said is not None and alone.inside
     assert alone.said[1] >= limit.DRIVES * alone.said[0]
+
+
+def test_a_load_at_the_flange_is_no_torque_in_per_cent() -> None:
+    """It makes the small joints' scales larger, too; nothing makes a joint need less than the bare arm."""
+    joints, limit, small = ("a", "b", "c"), np.array([330.0, 150.0, 54.0]), np.full(3, 1e-3)
+    (said,) = torque_shares(0.3 * 330.0 / limit, small, joints, limit)
+    assert said.severity == "error" and "per cent" in said.seen and "a 0.3 (330 N m)" in said.seen
+    (said,) = torque_shares(0.6 * 330.0 / limit, small, joints, 10 * limit)
+    assert "per mille" in said.seen
+    assert not torque_shares(1.2 * 330.0 / limit, small, joints, limit), "a load"
+    assert not torque_shares(np.array([0.5, 0.55, 0.45]), small, joints, limit), "a torque scale of all drives"
+    assert not torque_shares(0.3 * 330.0 / limit, 0.2 * np.ones(3), joints, limit), "not sure"
+    assert not torque_shares(0.3 * 330.0 / limit, small, joints, np.full(3, np.nan)), "no data sheet"
+
+
+@pytest.mark.shared
+def test_no_model_is_made_of_a_real_arms_torque_in_per_cent(shared_data, tmp_path: Path, capsys: Any) -> None:  # type: ignore[no-untyped-def]
+    """It was identified with a warning: a model of an arm that no other recording is of."""
+    robot, model = shared_data("ur10e/robot.urdf"), tmp_path / "m.model.json"
+    data = read_recordings(shared_data("ur10e/identification.parquet"), load_robot(robot))
+    shares = [replace(r, tau=r.tau * 100.0 / load_robot(robot).torque_limit) for r in data]
+    write_recordings(tmp_path / "shares.parquet", data.meta, shares)
+    ask = ["--robot", str(robot), "--data", str(tmp_path / "shares.parquet"), "--out", str(model)]
+    assert main(["identify", *ask]) == 2 and not model.exists()
+    said = capsys.readouterr()
+    assert "it is in per cent of it; expected about 1, N m on the link side: convert tau" in said.out + said.err

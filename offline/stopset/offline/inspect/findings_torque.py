@@ -18,6 +18,9 @@ RIGHT_TORN = (0.1, 10.0)  # the same where samples were lost and stamps made up,
 OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 FEWEST_TURNS = 4  # reversals of a joint from which on their scatter is known at all
 TURNED = 3.5  # standard deviations below zero: by chance in one of 4000 joints whose sign is right and that have no friction
+SHARES = {100.0: "per cent", 1000.0: "per mille"}  # of a drive's torque, as controllers report it
+PEAK = 4.0  # a drive's torque limit over the rated torque that its reports count in, at most
+LESS = 0.8  # measured over modelled torque below which neither a load nor a description that is off leaves it
 DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 
@@ -89,6 +92,32 @@ def torque_scale(
         out.append(Finding("wrong_unit" if sure else "torque_scale", "error" if sure else "warning", joint, seen,
                            "about 1, N m on the link side", do, k))  # fmt: skip
     return out
+
+
+def torque_shares(scale: Array, std: Array, joints: Sequence[str], limit: Array) -> list[Finding]:
+    """Torque in shares of what each drive has: ``scale`` (n,) measured over modelled, the smaller the larger the drive's ``limit`` (n,) [N m].
+
+    A load makes a scale larger, most at the small joints, and looks like this; nothing makes it smaller, so one joint must show less
+    torque than the bare arm needs.
+    """
+    with np.errstate(invalid="ignore"):
+        sure = np.flatnonzero((scale > 0) & (std < 0.1 * scale) & np.isfinite(limit) & (limit > 0))
+    if len(sure) < 2:
+        return []
+    k, share = scale[sure], scale[sure] * limit[sure]
+    spread = float(share.max() / share.min())
+    if (k + 2 * std[sure]).min() > LESS or spread > 2 or k.max() / k.min() < 2 * spread:
+        return []
+    middle = float(np.sqrt(share.max() * share.min()))
+    unit = next((u for full, u in SHARES.items() if 0.5 * full < middle < PEAK * full), None)
+    if unit is None:
+        return []
+    seen = ", ".join(f"{joints[j]} {scale[j]:.3g} ({limit[j]:.3g} N m)" for j in sure.tolist())
+    return [
+        Finding("wrong_unit", "error", None,
+                f"the torque over what the rigid body needs falls with what the drives have: {seen}; it is in {unit} of it",
+                "about 1, N m on the link side", f"convert tau: times the drive's rated torque over {100 if unit == 'per cent' else 1000}", middle)
+    ]  # fmt: skip
 
 
 def torque_delay(

@@ -247,6 +247,8 @@ def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tup
     gear = np.array([d.gear_ratio for d in robot.drives])
     by = dict(zip(meta.joints, meta.torque_constant, strict=True)) if meta.torque_constant is not None else {}
     constant = np.array([by.get(j, np.nan) for j in robot.joints])
+    if shares := findings_torque.torque_shares(scale, std, robot.joints, robot.torque_limit):
+        return shares
     return findings_torque.torque_scale(scale, std, robot.joints, gear, constant, right)
 
 
