@@ -138,12 +138,15 @@ def test_a_box_looked_at_closely_asks_less(name: str, most: float) -> None:
     assert np.median(ratio) < most
 
 
-@pytest.mark.parametrize("name", ["PRBT-like", "UR10e-like", "cobot of seven joints"])
-def test_every_corner_of_a_box_of_angles_asks_no_more(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "payload"),
+    [("PRBT-like", None), ("UR10e-like", None), ("cobot of seven joints", None), ("UR10e-like", (12.5, 12.5))],
+)
+def test_every_corner_of_a_box_of_angles_asks_no_more(name: str, payload: tuple[float, float] | None) -> None:
     """Speeds, zero or not, and a short ramp known: where it begins, at all 2^n corners, with the least and the most payload; nearly as told."""
     model, rng, ratio = ARMS[name], np.random.default_rng(8), []
     n, ramp = model.n, Ramp.stated(model.n, time=0.05, control=0.0)
-    ramps = Ramps(StopBounds.of(model, None, ramp=ramp, fast=True), ramp)
+    ramps = Ramps(StopBounds.of(model, payload, ramp=ramp, fast=True), ramp)
     setting, signs = ramps.bounds.setting, np.array(list(itertools.product((-1.0, 1.0), repeat=model.n)))
     assert setting is not None
     p, every = setting.plant, np.ones((len(signs), 1))
