@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -51,10 +52,11 @@ class Ramps:
         bounds = StopBounds.of(replace(model, inertia_std=model.rotor / 15.0), None, ramp=ramp, fast=True)
         return cls(bounds, ramp)
 
-    def asked(self, start: Start) -> Array:
+    def asked(self, start: Start, have: float = 0.0) -> Array:
         setting = self.bounds.setting
         assert setting is not None
-        return ramp_torque(setting, setting.plant, self.ramp, start, ramp_tube(self.ramp, start.speeds.lo, start.speeds.hi))
+        tube = ramp_tube(self.ramp, start.speeds.lo, start.speeds.hi)
+        return ramp_torque(setting, setting.plant, self.ramp, start, tube, np.full(self.bounds.model.n, have))
 
     def sampled(self, start: Start, count: int, rng: np.random.Generator, instants: int = 12) -> Array:
         """(n,) [N m] the largest that ramps ask of links and rotors; each of one state, arm, delay and value per joint, and pace."""
@@ -103,7 +105,8 @@ def test_no_ramp_asks_more_of_a_drive_than_is_told(name: str, kind: str) -> None
     model, rng = ARMS[name], np.random.default_rng(NAMES.index(name))
     ramps = Ramps.of(model, kind)
     for start in starts(model, rng) + starts(model, rng):
-        assert np.all(ramps.sampled(start, 1000, rng) <= ramps.asked(start) * (1.0 + 1e-9))
+        closely, at_once = ramps.asked(start), ramps.asked(start, have=np.inf)
+        assert np.all(ramps.sampled(start, 1000, rng) <= closely * (1.0 + 1e-9)) and np.all(closely <= at_once)
 
 
 @pytest.mark.parametrize("name", ["PRBT-like", "UR10e-like", "cobot of seven joints"])
@@ -118,6 +121,46 @@ def test_what_is_told_of_a_state_is_nearly_asked(name: str) -> None:
         worst = int(np.argmax(found / model.robot.torque_limit))
         ratio.append(told[worst] / found[worst])
     assert 1.0 <= np.median(ratio) < 1.3
+
+
+@pytest.mark.parametrize(
+    ("name", "most"), [("UR10e-like", 0.88), ("cobot of seven joints", 0.92), ("random arm of 7 joints, 1", 0.93)]
+)
+def test_a_box_looked_at_closely_asks_less(name: str, most: float) -> None:
+    """What an angle does to inertia, gravity and Coriolis torque together, and one payload at a time, is less than all of it apart: of the drive
+    of which it says the most."""
+    model, rng = ARMS[name], np.random.default_rng(6)
+    ramps, ratio = Ramps.of(model, "time"), []
+    for _ in range(10):
+        q, dq = rng.uniform(-2.0, 2.0, model.n), 0.5 * rng.uniform(-1.0, 1.0, model.n) * model.domain.dq.hi
+        start = Start(q, dq, np.full(model.n, 0.05), 0.1 * model.domain.dq.hi)
+        ratio.append((ramps.asked(start) / ramps.asked(start, have=np.inf)).min())
+    assert np.median(ratio) < most
+
+
+@pytest.mark.parametrize(
+    ("name", "payload"),
+    [("PRBT-like", None), ("UR10e-like", None), ("cobot of seven joints", None), ("UR10e-like", (12.5, 12.5))],
+)
+def test_every_corner_of_a_box_of_angles_asks_no_more(name: str, payload: tuple[float, float] | None) -> None:
+    """Speeds, zero or not, and a short ramp known: where it begins, at all 2^n corners, with the least and the most payload; nearly as told."""
+    model, rng, ratio = ARMS[name], np.random.default_rng(8), []
+    n, ramp = model.n, Ramp.stated(model.n, time=0.05, control=0.0)
+    ramps = Ramps(StopBounds.of(model, payload, ramp=ramp, fast=True), ramp)
+    setting, signs = ramps.bounds.setting, np.array(list(itertools.product((-1.0, 1.0), repeat=model.n)))
+    assert setting is not None
+    p, every = setting.plant, np.ones((len(signs), 1))
+    for k in range(12):
+        q, dq = rng.uniform(-2.5, 2.5, n), 0.2 * rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi * (k % 2)
+        told = ramps.asked(Start(q, dq, np.full(n, 0.02), np.full(n, 1e-9)))
+        a = -dq / ramp.value.lo
+        moved = q + ramp.control.hi * dq + 0.02 * signs
+        tau = [torques(p.chain, p.pi + side * p.pi_half, moved, every * dq, every * a) + p.rotor * a for side in (-1.0, 1.0)]
+        found = np.abs(tau).max(axis=(0, 1))
+        assert np.all(found <= told * (1.0 + 1e-9))
+        worst = int(np.argmax(found / model.robot.torque_limit))
+        ratio.append(told[worst] / found[worst])
+    assert np.median(ratio) < 1.25
 
 
 def test_an_arm_that_stands_asks_for_its_weight() -> None:

@@ -917,9 +917,9 @@ STOPSET_API int64_t stopset_stop_room(int n);
 /* The stop from every state in a box (n,) [rad, rad/s]. 0: bounded; 1: not provable, then `out` holds nothing of use; negative: a code. */
 STOPSET_API int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out);
 /* Largest torque `asked` (n,) [N m] of links and rotors along a ramp that works from any state of the box (n,) [rad, rad/s], within `tube`,
- * the ramp's own of so many steps. 0, or a code. */
+ * the ramp's own of so many steps; it is looked at closely where it is more than the drives `have` (n,). 0, or a code. */
 STOPSET_API int stopset_ramp_torque(const StopsetPlant *plant, const StopsetRamp *ramp, const StopsetStates *from, const StopsetTube *tube,
-                                    int64_t steps, double *asked);
+                                    int64_t steps, const double *have, double *asked);
 /* The same (n,) [rad, rad/s] of a ramp that works: STOP 1, or with `stays` STOP 2, whose standstill window is part of the bound. */
 STOPSET_API int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *ramp, int stays, const StopsetStates *from, double *work,
                                      const StopsetBound *out);

@@ -207,7 +207,8 @@ class StopBounds:
         if early is not None:
             return self._refused(category, early, q)
         extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
-        refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube) + extra)
+        have = self.model.robot.torque_limit - extra
+        refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube, have) + extra)
         if refusal:
             return self._refused(category, refusal, q)
         if category == "2":

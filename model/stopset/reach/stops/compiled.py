@@ -104,17 +104,18 @@ def _ramp_struct(setting: Setting, ramp: Ramp) -> tuple[Any, Any]:
     return ffi.new("StopsetRamp *", {k: view(x) for k, x in held.items()} | numbers), held
 
 
-def ramp_torque(setting: Setting, plant: Plant, ramp: Ramp, start: Start, tube: Tube) -> Array:
+def ramp_torque(setting: Setting, plant: Plant, ramp: Ramp, start: Start, tube: Tube, have: Array) -> Array:
     """(n,) [N m] the largest torque of links and rotors that a ramp that works asks of each drive, from any state of ``start``: of all
-    payloads, rotors, delays and values that are known as ranges. ``tube``: the ramp's own from there."""
+    payloads, rotors, delays and values that are known as ranges; looked at closely where it is more than drives ``have`` (n,) [N m].
+    ``tube``: the ramp's own from there."""
     braking, _stored = _ramp_struct(setting, ramp)
     struct, _held = plant_struct(plant)
-    states = [given(x) for x in (start.q, start.dq, start.q_radius, start.dq_radius)]
+    states = [given(x) for x in (start.q, start.dq, start.q_radius, start.dq_radius, have)]
     lines = {k: given(getattr(tube, k)) for k in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi")}
     out, n = np.empty(len(plant.rotor)), len(plant.rotor)
     if any(x.shape != (n,) for x in states) or lines["d_lo"].shape != (len(tube.t), n):
         raise ValueError(f"a ramp of {lines['d_lo'].shape} from states {[x.shape for x in states]} for {n} joints")
-    box = ffi.new("StopsetStates *", tuple(view(x) for x in states))
+    box = ffi.new("StopsetStates *", tuple(view(x) for x in states[:4]))
     its_tube = ffi.new("StopsetTube *", {k: view(x) for k, x in lines.items()})
-    check(lib.stopset_ramp_torque(struct, braking, box, its_tube, len(tube.t) - 1, view(out)))
+    check(lib.stopset_ramp_torque(struct, braking, box, its_tube, len(tube.t) - 1, view(states[4]), view(out)))
     return out

@@ -86,12 +86,13 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
 
 /* Whether the drives have the torque for the ramp from every state of the box, friction at its largest speeds on top. */
 static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *p, const double fastest[SN]) {
-    double asked[SN] = {0};
-    int have = stopset_ramp_torque(p, r, &a->from, &a->tube, a->made, asked) == STOPSET_OK;
+    double asked[SN] = {0}, extra[SN], left[SN];
     for (int i = 0; i < p->arm.n; i++) {
-        const double extra = p->coulomb_hi[i] + p->viscous_hi[i] * fastest[i] + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
-        have &= asked[i] + extra <= r->limit[i];
+        extra[i] = p->coulomb_hi[i] + p->viscous_hi[i] * fastest[i] + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
+        left[i] = r->limit[i] - extra[i];
     }
+    int have = stopset_ramp_torque(p, r, &a->from, &a->tube, a->made, left, asked) == STOPSET_OK;
+    for (int i = 0; i < p->arm.n; i++) have &= asked[i] + extra[i] <= r->limit[i];
     return have;
 }
 

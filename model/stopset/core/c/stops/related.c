@@ -19,7 +19,7 @@ typedef struct {
     int n, inside[SN], open[SN], count, fits, members, member[SN]; /* member: those inside, in order */
     Along start;                                    /* M */
     double push[SN], beyond[SN];                    /* torques of its change, and of what is beyond slopes, at claimed accelerations */
-    double speeds[SN * SLOPES], turns[SN * SLOPES]; /* h: columns of nu; of delta and s */
+    Columns h;
     double r_lo[SN], r_hi[SN], r_mid[SN]; /* r less the middle of h */
     double sized[SN], unsure[SN], all[SN]; /* sizes of columns and push; with half the range of r; with the largest of r */
     Four torque[SN][HULLS], far[SN][HULLS], hull[SN][HULLS]; /* of each joint itself, by place_of its rates: r, how far from its middle, what was found */
@@ -79,7 +79,7 @@ typedef struct {
 UNROLLED Turned turned(int n, const Along *A, int i, const Relation *x) {
     Turned out = {0.0, 0.0, 0.0, 0.0};
     for (int g = 0; g < groups_of(n); g++) {
-        const Four *slope = A->slope[g], *column = (const Four *)(x->turns + g * LANES), self = slope[pair(i, i)], own = SIZES_OF(self);
+        const Four *slope = A->slope[g], *column = (const Four *)(x->h.turns + g * LANES), self = slope[pair(i, i)], own = SIZES_OF(self);
         Four turn = column[i * GROUPS] * -A->own[i] + self * x->r_mid[i], spread = own * x->sized[i], scale = own * x->all[i];
         for (int k = 0; k < x->members; k++) {
             const int j = x->member[k];
@@ -104,7 +104,7 @@ UNROLLED void row_of(int n, const Along *A, int i, Relation *x) {
     const Turned slopes = turned(n, A, i, x);
     double lo = 0.0, hi = 0.0, spread = slopes.spread + slopes.columns, scale = 1.0 + slopes.scale;
     for (int g = 0; g < groups_of(n); g++) {
-        const Four *column = (const Four *)(x->speeds + g * LANES);
+        const Four *column = (const Four *)(x->h.speeds + g * LANES);
         Four speed = column[i * GROUPS] * w;
         for (int k = 0; k < x->members; k++)
             if (x->member[k] != i) speed += column[x->member[k] * GROUPS] * -A->value[i * SN + x->member[k]];
@@ -237,7 +237,7 @@ UNROLLED void symbol_of(int n, const Expansion *E, const Curved *c, const int ij
 }
 
 /* Columns of the Coriolis torque of joint i; its middle, and what is beyond, added. */
-UNROLLED void coriolis(int n, const Near *near, const Curved *curves, int i, Relation *x, double *middle, double *rest) {
+UNROLLED void coriolis(int n, const Near *near, const Curved *curves, int i, Columns *x) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
     double *turns = x->turns + i * SLOPES;
@@ -252,30 +252,47 @@ UNROLLED void coriolis(int n, const Near *near, const Curved *curves, int i, Rel
             for (int g = 0; g * LANES < n; g++) *(Four *)(turns + g * LANES) += y->turn[g] * c * b;
             turns[n] += E->Gammap[ko] * c * b;
             x->speeds[i * SLOPES + k] += 2.0 * G * b * r;
-            *middle += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
-            *rest += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (y->slopes + size_of(E->Gammap[ko])) * spread;
-            *rest += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
+            x->middle[i] += G * (k == o ? c * c + 0.5 * r * r : c * b); /* a square is not negative */
+            x->rest[i] += size_of(G) * (k == o ? 0.5 : 1.0) * r * t + (y->slopes + size_of(E->Gammap[ko])) * spread;
+            x->rest[i] += 0.5 * (at->rest[ik] + at->rest[io] + at->rest[ko]) * (size_of(c) + r) * (size_of(b) + t);
         }
 }
 
-/* Torques of joint i: columns, and the box of all the rest. */
-UNROLLED void torques_of(int n, const Near *near, const Curved *curves, int i, Relation *x) {
+UNROLLED void columns_of(int n, const Near *near, const Curved *curves, int i, Columns *x) {
     const Expansion *E = &near->E;
     const Local *at = &near->at;
-    const Step *s = x->s;
-    double middle = E->g[i], rest = 0.0;
+    x->middle[i] = E->g[i];
+    x->rest[i] = 0.0;
     memset(x->speeds + i * SLOPES, 0, SLOPES * sizeof(double));
     memset(x->turns + i * SLOPES, 0, SLOPES * sizeof(double));
     for (int k = 0; k < n; k++) {
         double bend = 0.0;
         const double far = size_of(at->x[k]) + at->rad[k];
         for (int o = 0; o < n; o++) bend += 0.5 * near->plant->curvature.g[(i * n + k) * n + o] * (size_of(at->x[o]) + at->rad[o]);
-        middle += E->dg[i * n + k] * at->x[k];
+        x->middle[i] += E->dg[i * n + k] * at->x[k];
         x->turns[i * SLOPES + k] = E->dg[i * n + k] * at->rad[k];
-        rest += (size_of(E->dgp[i * n + k]) + bend) * far;
+        x->rest[i] += (size_of(E->dgp[i * n + k]) + bend) * far;
     }
     x->turns[i * SLOPES + n] = E->gp[i];
-    coriolis(n, near, curves, i, x, &middle, &rest);
+    coriolis(n, near, curves, i, x);
+}
+
+UNROLLED void columns(int n, const Near *near, Columns *out) {
+    Curved curves;
+    curved(n, near, &curves);
+    for (int i = 0; i < n; i++) columns_of(n, near, &curves, i, out);
+}
+
+STOPSET_WIDE void stops_columns(const Near *near, Columns *out) {
+    SIZED(columns, near->E.n, near, out);
+}
+
+/* Torques of joint i: the box of all but columns. */
+static void torques_of(const Near *near, int i, Relation *x) {
+    const Local *at = &near->at;
+    const Step *s = x->s;
+    const int n = x->n;
+    const double middle = x->h.middle[i], rest = x->h.rest[i];
     const double up = s->direction[i] >= 0.0 ? s->B_lo[i] : s->B_later[i], down = s->direction[i] <= 0.0 ? s->B_lo[i] : s->B_later[i];
     const double lo = s->s_lo[i] + at->h_hi[i] - middle - rest, hi = s->s_hi[i] + at->h_lo[i] - middle + rest;
     const double own[RATES] = {lo - s->B_hi[i], hi - up, lo + down, hi + s->B_hi[i], hi - up - s->own_up[i], lo - s->B_hi[i] + s->own_down[i],
@@ -293,20 +310,10 @@ UNROLLED void torques_of(int n, const Near *near, const Curved *curves, int i, R
         if (!goes) ((double *)x->far[i])[at_lane] = 0.0;
     }
     x->sized[i] = x->push[i];
-    for (int k = 0; k < n; k++) x->sized[i] += size_of(x->speeds[i * SLOPES + k]);
-    for (int l = 0; l <= n; l++) x->sized[i] += size_of(x->turns[i * SLOPES + l]);
+    for (int k = 0; k < n; k++) x->sized[i] += size_of(x->h.speeds[i * SLOPES + k]);
+    for (int l = 0; l <= n; l++) x->sized[i] += size_of(x->h.turns[i * SLOPES + l]);
     x->unsure[i] = x->sized[i] + 0.5 * (x->r_hi[i] - x->r_lo[i]);
     x->all[i] = most(size_of(x->r_lo[i]), size_of(x->r_hi[i])) + x->sized[i];
-}
-
-UNROLLED void torques(int n, const Near *near, Relation *x) {
-    Curved curves;
-    curved(n, near, &curves);
-    for (int i = 0; i < n; i++) torques_of(n, near, &curves, i, x);
-}
-
-STOPSET_WIDE static void all_torques(const Near *near, Relation *x) {
-    SIZED(torques, x->n, near, x);
 }
 
 /* `out` of stops_accelerations cut to what is known so; left as it is where nothing is. */
@@ -320,7 +327,8 @@ void stops_related(const Near *near, const Step *s, double out[RATES][SN]) {
     x.shared = near->parts->shared;
     memset(x.inside, 0, sizeof x.inside);
     stops_slopes(near, s->a_far, &x.start, x.push, x.beyond);
-    all_torques(near, &x);
+    stops_columns(near, &x.h);
+    for (int i = 0; i < n; i++) torques_of(near, i, &x);
     for (int i = 0; i < n; i++)
         if (!s->zero[i]) x.open[x.count++] = i;
     for (int i = 0; i < n; i++)

@@ -112,6 +112,12 @@ static inline double sum_of(const Four *x) { return ((*x)[0] + (*x)[1]) + ((*x)[
 static inline int groups_of(int n) { return (n + LANES) / LANES; }
 /* The inertia at the middle of a box, and its slopes; how much its change, and what is beyond the slopes, can make of numbers no larger than `size`.
  * Then: B is A with joint k in the moving set; its slopes where its values are there already. */
+/* Coriolis and gravity torque of each joint in the box looked at: middle +- rest, and columns, each times a number in [-1, 1] that all joints share:
+ * `turns` of the angles and, at n, of the payload, `speeds` of the speeds (Lemma 7). */
+typedef struct {
+    double middle[SN], rest[SN], turns[SN * SLOPES], speeds[SN * SLOPES];
+} Columns;
+void stops_columns(const Near *near, Columns *out);
 void stops_slopes(const Near *near, const double *size, Along *A, double *push, double *beyond);
 void stops_pivot_values(int n, const Along *A, int k, Along *B);
 void stops_pivot_slopes(int n, const Along *A, int k, Along *B);
