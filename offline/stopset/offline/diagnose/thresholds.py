@@ -97,6 +97,10 @@ KNOWN_SCALES = (0.1, 0.3)  # of `Tolerance`
 
 # asked of a finished model: what changed since, and whether `add` takes an effect
 CHANGE_LOWERED = 0.05  # of a joint's torque error
+PLAY_SURE = 4.0  # standard errors
+PLAY_LOWERED = 0.05  # of the held-out error of the angle behind the gear
+PLAY_CROSSING = 0.1  # of the link's torque, root mean square
+PLAY_ROWS = 20
 CHANGE_SURE = 4.0  # standard errors
 DAILY = 0.10  # of its level
 LEAST_GAIN = 0.02  # of the torque
@@ -292,6 +296,14 @@ SETTLED = (
               "chosen"),
     Threshold("KNOWN_SCALES", "how far links may be off such a model, in the description's tolerance; found by evidence", "",
               "chosen: only what has changed is asked for"),
+    Threshold("PLAY_SURE", "standard errors that a gear's play must exceed", "",
+              "chosen: every joint with a second encoder is asked"),
+    Threshold("PLAY_LOWERED", "held-out error of the angle behind the gear that its play lowers", "%",
+              "chosen, as of one joint's torque"),
+    Threshold("PLAY_CROSSING", "share of the link's torque within which its side is not certain", "%",
+              "chosen: descriptions are off by as much"),
+    Threshold("PLAY_ROWS", "rows that are wanted of either side of the link's torque", "",
+              "chosen: a second of a recording"),
 )  # fmt: skip
 
 # of a finished model: no model file rests on these

@@ -34,7 +34,7 @@ from stopset.offline.conform import (
     tightness,
     zonotopes,
 )  # fmt: skip
-from stopset.offline.diagnose import compensated, thresholds
+from stopset.offline.diagnose import compensated, plays, thresholds
 from stopset.offline.diagnose.columns import elasticity
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors
 from stopset.offline.diagnose.explain import uncertainty
@@ -171,6 +171,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis wanted", wanted, "LAGS"),
+    ("diagnosis play", plays, "PART SOFT CROSSING STILL"),
     ("diagnosis open loop", compensated, "STEP SCREENING FINALISTS"),
 )
 
