@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +33,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "hidden_effec
 PERIOD = 0.004
 DELAY, RISE = (0.040, 0.055), 0.012  # [s] true values of the recorded arm
 NOISE_Q, NOISE_DQ = 5e-5, 3e-3
+FINE = 8  # steps of the simulation in a sample
 
 
 def arm() -> Model:
@@ -46,22 +48,42 @@ def arm() -> Model:
     return replace(model, brakes=wide)
 
 
-def recorded_stop0(model: Model, count: int, seed: int) -> list[Recording]:
+def usual(rng: np.random.Generator) -> np.ndarray:
+    """(6,) [s] delays of brakes that are cut together."""
+    return np.full(6, rng.uniform(*DELAY))
+
+
+def sticking(rng: np.random.Generator) -> np.ndarray:
+    """The same of an arm whose second brake sticks in a fifth of its stops."""
+    out = usual(rng)
+    out[1] += rng.uniform(0.02, 0.04) if rng.random() < 0.2 else 0.0
+    return out
+
+
+def simulated_stop0(
+    model: Model, count: int, seed: int, delays: Callable[[np.random.Generator], np.ndarray]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """True angles and speeds (K, 6) of each stop, eight to a sample."""
     rng, robot = np.random.default_rng(seed), model.robot
     torque = model.brakes.torque.centre
     F, D = np.array([15.0, 15, 10, 8, 3, 2]), np.array([5.0, 5, 3, 3, 1, 1])
-    out = []
-    for k in range(count):
+    for _ in range(count):
         q, dq = rng.uniform(-1.5, 1.5, 6), rng.uniform(-1.2, 1.2, 6)
-        delay = np.full(6, rng.uniform(*DELAY))
-        fine = 8
-        qs, vs = simulate_stop(
+        delay = delays(rng)
+        yield simulate_stop(
             StoppingArm(robot.chain, robot.pi, model.rotor, F, D, torque * rng.uniform(0.95, 1.05, 6), delay, np.full(6, RISE)), q, dq,
-            PERIOD / fine, 80 * fine, np.zeros((1, 6)),
+            PERIOD / FINE, 80 * FINE, np.zeros((1, 6)),
         )  # fmt: skip
-        qs, vs = qs[::fine], vs[::fine]
-        out.append(_recording("stop0", k, qs, vs, rng))
-    return out
+
+
+def recorded_stop0(
+    model: Model, count: int, seed: int, delays: Callable[[np.random.Generator], np.ndarray] = usual
+) -> list[Recording]:
+    rng = np.random.default_rng(seed + 1000)
+    return [
+        _recording("stop0", k, qs[::FINE], vs[::FINE], rng)
+        for k, (qs, vs) in enumerate(simulated_stop0(model, count, seed, delays))
+    ]
 
 
 def _recording(phase: str, k: int, q: np.ndarray, v: np.ndarray, rng: np.random.Generator) -> Recording:
@@ -117,6 +139,52 @@ def test_true_brakes_are_found_and_held_out_stops_enclosed(tmp_path: Path) -> No
     assert judge_stop0(replace(known, brakes=weak), held).outside
     short = replace(ramp, value=Box.of(np.full(6, 0.2), np.full(6, 0.22)))
     assert judge_stop1(short, fit.noise, divide(recorded_stop1(16, 5))[1]).outside
+
+
+def test_a_brake_that_sticks_now_and_then_is_in_the_bound() -> None:
+    """Its late stops are no misfits: stops of the same arm that nobody recorded stay inside their bounds, each number for itself."""
+    model = arm()
+    known = with_stops(model, identify_stops(model, recorded_stop0(model, 36, 4, sticking)))
+    bounds, late = StopBounds.of(known, (0.0, 0.0), pieces=8), 0
+    for qs, vs in simulated_stop0(model, 60, 99, sticking):
+        b = bounds.bound(qs[0], vs[0])
+        assert b.certified and b.time is not None and b.forward is not None and b.back is not None
+        moves = np.abs(vs) > 1e-3
+        rests = PERIOD / FINE * np.where(moves.any(axis=0), len(vs) - np.argmax(moves[::-1], axis=0), 0)
+        late += rests[1] > 0.085
+        moved = qs - qs[0]
+        assert np.all(moved.max(axis=0) <= b.forward + 1e-5) and np.all(-moved.min(axis=0) <= b.back + 1e-5)
+        assert np.all(rests <= b.time + 1e-3)
+    assert late >= 3  # or nothing was asked
+
+
+def test_recorded_stops_that_a_data_sheet_does_not_hold_widen_it() -> None:
+    """Too few of them to identify brakes from, and later than the data sheet says: no bound is told that they leave."""
+    model = arm()
+    late = recorded_stop0(model, 4, 11, lambda rng: np.full(6, rng.uniform(0.15, 0.16)))
+    fit = identify_stops(model, [*late, *recorded_stop1(16, 5)])
+    assert fit.stop0 is None
+    before = replace(
+        fit.model, brakes=model.brakes, sets={**fit.model.sets, "stop0": replace(fit.model.powered, X0=fit.noise, V=fit.noise)}
+    )
+    assert judge_stop0(before, late).outside  # the test has teeth
+    assert not judge_stop0(with_stops(model, fit), late).outside
+
+
+def test_a_held_out_stop_that_refutes_its_bound_is_inside_what_is_published() -> None:
+    """The guarantee tells that it left; a bound that the user's own recordings refute is not told."""
+    model = arm()
+    stops = recorded_stop0(model, 24, 4)
+    stops[5] = recorded_stop0(model, 24, 4, lambda rng: usual(rng) + np.r_[np.zeros(1), 0.06, np.zeros(4)])[5]
+    fit = identify_stops(model, stops)
+    assert fit.stop0 is not None and fit.stop0.violated == 1 and "of all 24 stops" in fit.stop0.text
+    assert not judge_stop0(with_stops(model, fit), stops).outside
+    ramps = recorded_stop1(24, 5)
+    k = ramps[5].stop_requested
+    ramps[5].q[k:] += 0.05 * (1.0 - np.exp(-10.0 * (ramps[5].t[k:] - ramps[5].t[k])))[:, None]
+    fit = identify_stops(model, ramps)
+    assert fit.stop1 is not None and fit.stop1.violated == 1 and fit.ramp is not None and fit.noise is not None
+    assert not judge_stop1(fit.ramp, fit.noise, ramps).outside
 
 
 def test_what_an_effect_pushes_with_is_no_brake() -> None:

@@ -16,6 +16,7 @@ from stopset.types import Array
 RISK = 0.005  # that the next stop's value lies outside, on either side
 TIMES = (0.0, 1.5)  # no delay or ramp is taken to last longer than this times the longest seen, however few the stops
 WIDEN, WIDENINGS = 1.15, 6  # of the sets per round, and rounds at most, until the training stops are enclosed
+DOUBLINGS = 14  # of what these did not do for: in the end brakes surely hold nothing, and no stop has a bound to leave
 TORQUES = (0.8, 1.25)  # no brake to press less or more than this times the least and the most seen: wear, heat, oil
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stopset.offline.brakes.bands import WIDEN, WIDENINGS, farther, hull
+from stopset.offline.brakes.bands import DOUBLINGS, WIDEN, WIDENINGS, farther, hull
 from stopset.offline.brakes.judge import judge_stop1, pace_before
 from stopset.reach.stops.ramp import STILL, Ramp
 from stopset.recording import Recording, SuiteKey
@@ -49,13 +49,14 @@ def ramp_from(
         q_error, dq_error, source="identified from stop1 recordings", pace=(-pace, pace),
         settle=_settling(kind, train, fits[kind], still, notes), standstill=still,
     )  # fmt: skip
-    for round_ in range(WIDENINGS + 1):
+    for round_ in range(WIDENINGS + DOUBLINGS):
         outside = judge_stop1(ramp, noise, train).outside
         if not outside:
             break
+        by = WIDEN if round_ < WIDENINGS else 2.0
         ramp = replace(
-            ramp, value=ramp.value.inflated(WIDEN), q_error=1.1 * ramp.q_error + 1e-5, dq_error=1.1 * ramp.dq_error + 1e-4,
-            settle=None if ramp.settle is None else WIDEN * ramp.settle,
+            ramp, value=ramp.value.inflated(WIDEN), q_error=by * ramp.q_error + 1e-5, dq_error=by * ramp.dq_error + 1e-4,
+            settle=None if ramp.settle is None else by * ramp.settle,
         )  # fmt: skip
         notes.append(f"the ramp's sets were widened ({round_ + 1}) to enclose {len(outside)} training stops")
     return ramp

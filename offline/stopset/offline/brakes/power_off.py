@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.artifact import Brakes, Model, UncertaintySets
-from stopset.offline.brakes.bands import TORQUES, WIDEN, WIDENINGS, band, farther, hull
+from stopset.errors import RecordingError
+from stopset.offline.brakes.bands import DOUBLINGS, TORQUES, WIDEN, WIDENINGS, band, farther, hull
 from stopset.offline.brakes.impulse import impulses, speed_error
 from stopset.offline.brakes.judge import judge_stop0
 from stopset.offline.brakes.timing import GRID, RISES, BrakeEstimate, brake_estimate
@@ -92,16 +93,32 @@ def _table(seen: Sequence[Seen], field: str) -> Array:
 def fit_brakes(model: Model, train: Sequence[Recording], noise: Box, notes: list[str]) -> Model | None:
     """The model with brakes and the regime STOP 0 from the training stops; None, and a note, if they cannot tell."""
     wide = model.brakes or guessed_brakes(model, train, noise)
-    known = brakes_from(model, wide, look(model, wide, train, noise), noise, notes)
-    return None if known is None else _widened(known, train, notes)
+    seen, said = look(model, wide, train, noise), list[str]()
+    known = brakes_from(model, wide, seen, noise, said)
+    if known is not None and _strays_are_real(known, seen, train):
+        said = ["delays that lie far from others of their stop are counted: without them that stop leaves its bound"]
+        known = brakes_from(model, wide, seen, noise, said, strays=True)
+    notes += said
+    return None if known is None else widened(known, train, notes)
 
 
-def brakes_from(model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, notes: list[str]) -> Model | None:
-    """The model with brakes and the regime STOP 0 from what stops told under the brakes ``wide`` assumed before."""
+def _strays_are_real(known: Model, seen: Sequence[Seen], train: Sequence[Recording]) -> bool:
+    """Whether a stop of which a delay was left out as a misfit leaves its bound: its brake was as late as it looked."""
+    delays = _table(seen, "delay")
+    left_out = ~np.isnan(delays) & np.isnan(without_strays(delays, own_lags(delays), []))
+    odd = [r for r, row in zip(train, left_out, strict=True) if row.any()]
+    return bool(odd) and bool(judge_stop0(known, odd).outside)
+
+
+def brakes_from(
+    model: Model, wide: Brakes, seen: Sequence[Seen], noise: Box, notes: list[str], *, strays: bool = False
+) -> Model | None:
+    """The model with brakes and the regime STOP 0 from what stops told under the brakes ``wide`` assumed before; ``strays``: with the
+    delays, too, that lie far from others of their stop."""
     n = model.n
     delays = _table(seen, "delay")
     own = own_lags(delays)
-    delay = without_strays(delays, own, notes)
+    delay = delays if strays else without_strays(delays, own, notes)
     if np.sum(~np.isnan(delay)) < LEAST:
         notes.append("too few joints were still moving when their brakes engaged; brakes cannot be identified from these stops")
         return None
@@ -260,33 +277,35 @@ def _regime(model: Model, seen: Sequence[Seen], noise: Box) -> UncertaintySets:
     return replace(powered, X0=X0, U=Box.of(u_lo, u_hi), V=noise, active=(), zonotope=None)
 
 
-def _widened(model: Model, train: Sequence[Recording], notes: list[str]) -> Model:
-    """The model with its brakes and disturbance grown until the stop bound encloses every training stop."""
+def widened(model: Model, stops: Sequence[Recording], notes: list[str]) -> Model:
+    """The model with its brakes and disturbance grown until the stop bound encloses every one of ``stops``, or there is none any more."""
     grown: set[int] = set()
-    for round_ in range(WIDENINGS + 1):
-        verdict = judge_stop0(model, train)
+    for round_ in range(WIDENINGS + DOUBLINGS):
+        verdict = judge_stop0(model, stops)
         if not verdict.outside:
             if round_:
-                model = _grown(model, sorted(grown))  # what only just encloses the training stops is too small for the next
-                notes.append(f"torque sets of the stops were widened {round_} times by {WIDEN:.0%} to enclose all training stops")
+                model = _grown(model, sorted(grown))  # what only just encloses these stops is too small for the next
+                notes.append(f"torque sets of the stops were widened {round_} times to enclose all of {len(stops)} stops")
+            if round_ >= WIDENINGS:
+                notes.append(f"{WIDENINGS} widenings by {WIDEN:.0%} did not enclose them: the model lacks something")
             if verdict.certified < verdict.stops:
                 notes.append(f"{verdict.stops - verdict.certified} of {verdict.stops} training stops have no certified bound")
             return model
         joints = {joint for _, joint, _ in verdict.outside}
         grown |= joints
-        model = _grown(model, sorted(joints))
-    notes.append(
-        f"training stops still leave the bound after {WIDENINGS} widenings: {', '.join(verdict.labels[:3])}; the model lacks something"
+        model = _grown(model, sorted(joints), WIDEN if round_ < WIDENINGS else 2.0)
+    raise RecordingError(
+        f"recorded stops leave every bound of this model ({', '.join(verdict.labels[:3])}); expected stops of the arm that was identified: "
+        "look at these recordings, or leave them out"
     )
-    return model
 
 
-def _grown(model: Model, joints: Sequence[int]) -> Model:
-    """U, start speed and brake torque of ``joints`` a little wider."""
+def _grown(model: Model, joints: Sequence[int], by: float = WIDEN) -> Model:
+    """U, start speed and brake torque of ``joints`` wider, by a little or much."""
     assert model.brakes is not None
     n, sets, torque = model.n, model.sets["stop0"], model.brakes.torque
     factor = np.ones(n)
-    factor[list(joints)] = WIDEN
+    factor[list(joints)] = by
     t_lo, t_hi = torque.centre - factor * torque.radius, torque.centre + factor * torque.radius
     wide = Box.of(
         sets.U.centre - factor * sets.U.radius - (factor > 1) * 0.05, sets.U.centre + factor * sets.U.radius + (factor > 1) * 0.05
