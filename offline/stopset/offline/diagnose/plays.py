@@ -121,8 +121,9 @@ def _gap(effect: Effect, joint: str, rows: _Behind) -> Ranked | None:
             left[model, out] = rows.x[out] - A[out] @ theta
             if model == 1:
                 gaps[k] = theta[-1]
-    gap = float(np.linalg.lstsq(wide, rows.x, rcond=None)[0][-1])
-    std = float(np.sqrt((len(gaps) - 1) * np.mean((gaps - gaps.mean()) ** 2)))  # the jackknife's
+    bend, gap = np.linalg.lstsq(wide, rows.x, rcond=None)[0][-2:].tolist()
+    jackknife = (len(gaps) - 1) * float(np.mean((gaps - gaps.mean()) ** 2))
+    std = float(np.hypot(np.sqrt(jackknife), limit.PLAY_BEND * bend * size))  # what all parts err by alike is the description's
     before, after, *smooth = (float(x) for x in np.sqrt(np.mean(left**2, axis=1)))
     term = effect.terms[0]
     inside = term.lo - limit.SURE * std <= gap <= term.hi + limit.SURE * std
