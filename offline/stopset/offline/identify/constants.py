@@ -139,7 +139,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("nonlinear sets", nonlinear_sets, "KEEP MOST_LEFT_OUT TOLERANCE"),
     ("zonotopes", zonotopes, "POSES SAME REACH"),
     ("figures", metrics, "AVERAGING KINDS LONGEST"),
-    ("spread of stops", spread_bands, "RISK TIMES TORQUES WIDEN WIDENINGS"),
+    ("spread of stops", spread_bands, "RISK TIMES TORQUES WIDEN WIDENINGS DOUBLINGS"),
     ("ramps", controlled, "KINDS START SOFT CONTROL"),
     ("impulses", impulse, "SLIDING SHORTEST"),
     ("judge of stops", judge, "BEFORE SLOW PIECES"),
