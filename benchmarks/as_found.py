@@ -34,7 +34,8 @@ MIDDAY = 0.6  # place in the day: the arm is warm
 @dataclass(frozen=True, slots=True)
 class Trouble:
     """What is wrong: ``gain`` true over recorded torque of all drives, ``lost`` share of samples, ``scatter`` [s] of the stamps,
-    ``drift`` [N m] of the first joint's torque from begin to end, ``late`` [s] torque of all joints, ``change`` of the arm itself."""
+    ``drift`` [N m] of the first joint's torque from begin to end, ``late`` [s] torque of all joints, ``change`` of the arm itself;
+    ``behind``: [rad] what encoders behind the gears resolve, 0: there are none."""
 
     gain: float = 1.0
     lost: float = 0.0
@@ -42,12 +43,22 @@ class Trouble:
     drift: float = 0.0
     late: float = 0.0
     change: Callable[[SimulatedPlant], SimulatedPlant] = lambda plant: plant
+    behind: float = 0.0
 
 
-def play_in_the_gear(plant: SimulatedPlant) -> SimulatedPlant:
-    """Three minutes of arc in the second joint's gear, stiff as an industrial arm's."""
-    at = np.arange(len(plant.fc)) == 1
-    return plant._replace(stiffness=np.where(at, 1e5, plant.stiffness), twist_damping=30.0 * at, gap=3 * ARCMIN * at)
+def geared(joint: int, stiffness: float, gap: float) -> Callable[[SimulatedPlant], SimulatedPlant]:
+    """An arm with a gear of this ``stiffness`` [N m/rad] and play of ``gap`` [rad] at one joint."""
+
+    def change(plant: SimulatedPlant) -> SimulatedPlant:
+        at = np.arange(len(plant.fc)) == joint
+        damping = 5.0 + 2.5e-4 * stiffness
+        return plant._replace(stiffness=np.where(at, stiffness, plant.stiffness), twist_damping=damping * at, gap=gap * at)
+
+    return change
+
+
+# three minutes of arc in the second joint's gear, stiff as an industrial arm's
+play_in_the_gear = geared(1, 1e5, 3 * ARCMIN)
 
 
 def recorded(s: Scenario, lengths: tuple[float, ...], rate: float, trouble: Trouble, seed: int) -> Recordings:
@@ -74,9 +85,12 @@ def _logged(cell: Cell, job: Measurement, rate: float, trouble: Trouble) -> Reco
     stamps = np.maximum.accumulate(t + trouble.scatter * rng.normal(0.0, 1.0, len(t)))[received] + 1e-9 * np.arange(
         received.sum()
     )
-    return Recording(
-        "closed_loop", job.suite, 0, job.suite, stamps, log.q[::every][received], log.dq[::every][received], tau[received]
-    )
+    behind = None
+    if trouble.behind:
+        read = log.link[::every] + trouble.behind * rng.normal(0.0, 1.0, tau.shape)
+        behind = trouble.behind * np.round(read / trouble.behind)[received]
+    q, dq = log.q[::every][received], log.dq[::every][received]
+    return Recording("closed_loop", job.suite, 0, job.suite, stamps, q, dq, tau[received], q_link=behind)
 
 
 CASES: dict[str, tuple[tuple[float, ...], Trouble]] = {

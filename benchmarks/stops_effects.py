@@ -67,6 +67,7 @@ def cases(joints: Sequence[str]) -> dict[str, tuple[Fitted, ...]]:
     pair = f"{joints[2]}+{joints[3]}"
     out = {
         "asymmetric_coulomb": (one("asymmetric_coulomb", 2, F_o=-4.0),),
+        "backlash": (one("backlash", 1, gap=9e-4),),
         "base_tilt": (one("base_tilt", None, roll=0.1, pitch=-0.05),),
         "coriolis": (one("coriolis", None, x=0.8),),
         "coulomb": (),

@@ -52,6 +52,7 @@ JOINTS = prbt_like().joints
 CASES = cases(JOINTS)
 REFUSED = {
     "elasticity": (CASES["elasticity"], "elasticity:arm_2_joint: it swings"),
+    "backlash": (CASES["backlash"], "backlash:arm_2_joint: its link is loose within a gap"),
     "coupled_wrist": (CASES["coupled_wrist"], f"coupled_wrist:{JOINTS[4]}.{JOINTS[5]}: it looks at ddq_other"),
     "of_acceleration": ((Fitted("of_acceleration", JOINTS[0], {"k0": 1.0}),), "of_acceleration:arm_1_joint: it looks at ddq"),
     "jumping": ((Fitted("jumping", JOINTS[0], {"k0": 1.0}),), "jumping:arm_1_joint: its law cannot be evaluated"),

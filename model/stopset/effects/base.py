@@ -19,8 +19,10 @@ from stopset.ring import sign
 
 Number = Any  # a float, an array, an Interval, a Taylor form or a tape: whatever stopset.ring computes with
 Entry = Literal["compensation", "inertia", "damping", "input_gain", "input_delay", "state"]
-Role = Literal["friction", "torque", "arm or drive", "plant", "reading", "input", "swing"]
+Role = Literal["friction", "torque", "arm or drive", "plant", "reading", "input", "swing", "play"]
 Part = Literal["", "dry friction", "damping", "constant torque", "torque scale", "load"]
+# roles that add a motion which a rigid arm does not have, and why no stop is bounded with them
+LOOSE = {"swing": "it swings in a way that a rigid arm does not have", "play": "its link is loose within a gap"}
 REFERENCE_TEMPERATURE = 30.0  # [degC]; "temp" is counted from here, so that base friction means friction at 30 degC
 
 
@@ -122,7 +124,8 @@ class Effect:
     ``arm or drive``: like it, but may be the drive's own: it is counted with and without;
     ``plant``: is in the rigid body and the rotors of the model already; ``input``: is in the reading of the motor's torque, and
     no motor gives any; ``reading``: the encoder's, ``reading`` gives each term's columns of true minus recorded position and
-    of true minus recorded speed over speed; ``swing``: adds a motion that a rigid arm does not have: no stop is bounded.
+    of true minus recorded speed over speed; ``swing``: adds a motion that a rigid arm does not have: no stop is bounded;
+    ``play``: its link is loose within a gap, the first term: likewise, and only an angle that is read behind the gear shows it.
 
     What others ask of it, so that none of them knows its name.  ``part``: the number of a plain arm that it changes, at most one
     effect each; ``usual``: its place among the laws that identification tries at every joint unasked, 0: not among them;
@@ -172,7 +175,7 @@ class Effect:
         Else it is part of the abstraction (its damping, its inertia) or of the recorded torque's scale; or it stays in the
         torque set U, as no torque of the measured state can take it off: a link's swing, a torque that is reported late.
         """
-        if self.enters in ("damping", "inertia", "input_gain", "input_delay") or self.role == "swing":
+        if self.enters in ("damping", "inertia", "input_gain", "input_delay") or self.role in LOOSE:
             return False
         return not 0 < self.power <= degree
 

@@ -16,7 +16,8 @@ from stopset.recording.types import EFFORTS, Meta
 def meta_of(path: Path, schema: pa.Schema) -> Meta:
     """Metadata of a file with these columns; what it does not say is assumed and said. Raises `RecordingError`."""
     columns = schema.names
-    joints = tuple(c[2:] for c in columns if c.startswith("q_"))
+    behind = {f"q_link_{c[2:]}" for c in columns if c.startswith("q_")}  # a second encoder's is no joint of its own
+    joints = tuple(c[2:] for c in columns if c.startswith("q_") and c not in behind)
     slow = [f"dq_{j}" for j in joints if f"dq_{j}" not in columns]
     derived = len(slow) == len(joints)
     missing = [c for c in ("t",) if c not in columns] + ([] if derived else slow)

@@ -5,7 +5,7 @@ Memory stays at one batch and one trial, whatever the file's size.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -172,16 +172,18 @@ def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
 def _trial(
     path: Path, key: tuple[str, int, int], place: int, columns: dict[str, Any], joints: Sequence[str], meta: Meta
 ) -> Recording:
-    def table(prefix: str) -> Array | None:
+    def table(prefix: str, needed: Callable[[Iterable[bool]], bool] = all) -> Array | None:
         names = [f"{prefix}_{j}" for j in joints]
-        if not all(c in columns for c in names):
+        if not needed(c in columns for c in names):
             return None
+        none = np.full(len(columns["t"]), np.nan)
         try:
-            return np.column_stack([np.asarray(columns[c], dtype=np.float64) for c in names])
+            return np.column_stack([np.asarray(columns.get(c, none), dtype=np.float64) for c in names])
         except (ValueError, TypeError) as e:
             raise RecordingError(f"{path}: a column {prefix}_<joint> holds no number ({e}); expected numbers: convert it") from e
 
     current, q, dq, tau, temp = (table(x) for x in ("i", "q", "dq", "tau", "temp"))
+    behind = table("q_link", any)
     if meta.effort == "motor_current" and current is not None and meta.torque_constant is not None:
         constants = dict(zip(meta.joints, meta.torque_constant, strict=True))
         tau = current * np.array([constants[j] for j in joints])
@@ -199,6 +201,7 @@ def _trial(
         *key, place, t, q, _differences(q, t) if dq is None else rows(dq), rows(tau),
         temp=None if temp is None or np.isnan(temp).all() else rows(temp),
         current=rows(current),
+        q_link=rows(behind),
         stop_trigger=None if trigger is None else rows(np.asarray(trigger, dtype=bool)),
         condition=_condition(path, columns.get("condition")),
         rounded=rounded, twice=sound.twice, unread=sound.unread,

@@ -59,6 +59,7 @@ class Recording:
     tau: Array
     temp: Array | None = None  # (N, n) [degC]
     current: Array | None = None  # (N, n) [A]
+    q_link: Array | None = None  # (N, n) [rad] angle behind the gear, by a second encoder; nan where a joint has none
     stop_trigger: NDArray[np.bool_] | None = None  # (N,)
     file: int = 0  # which of the files read together it comes from
     condition: str = ""  # what the arm carried, which day it was: recordings of different conditions are not fitted as one
@@ -113,7 +114,7 @@ class Recording:
         trigger = None if self.stop_trigger is None else self.stop_trigger[lo:hi]
         return replace(
             self, t=self.t[lo:hi], q=self.q[lo:hi], dq=self.dq[lo:hi], tau=self.tau[lo:hi],
-            temp=part(self.temp), current=part(self.current), stop_trigger=trigger,
+            temp=part(self.temp), current=part(self.current), q_link=part(self.q_link), stop_trigger=trigger,
         )  # fmt: skip
 
 

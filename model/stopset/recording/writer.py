@@ -59,9 +59,11 @@ def _table(r: Recording, meta: Meta) -> pa.Table:
         "phase": pa.array([r.phase] * rows),
         "t": pa.array(r.t),
     }
-    for prefix, signal in (("q", r.q), ("dq", r.dq), ("tau", r.tau), ("temp", r.temp), ("i", r.current)):
+    for prefix, signal in (("q", r.q), ("dq", r.dq), ("tau", r.tau), ("temp", r.temp), ("i", r.current), ("q_link", r.q_link)):
         if signal is not None:
             for k, j in enumerate(meta.joints):
+                if prefix == "q_link" and np.isnan(signal[:, k]).all():
+                    continue  # that joint has no second encoder
                 columns[f"{prefix}_{j}"] = pa.array(signal[:, k].astype(np.float32))
     if r.stop_trigger is not None:
         columns["stop_trigger"] = pa.array(r.stop_trigger)

@@ -29,7 +29,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.core.library import check, ffi, given, lib, view
-from stopset.effects.base import REFERENCE_TEMPERATURE, Effect, Fitted
+from stopset.effects.base import LOOSE, REFERENCE_TEMPERATURE, Effect, Fitted
 from stopset.effects.bound import ACTING, misread, uncovered
 from stopset.effects.signals import tilt_directions
 from stopset.errors import EffectError, NotCovered
@@ -276,8 +276,8 @@ def _acting(model: Model, fastest: Array) -> tuple[tuple[ActingLaw, ...], list[i
     warm = model.domain.temp is not None
     for f in model.effects:
         effect = effect_of(f)
-        if effect.role == "swing":
-            raise NotCovered(uncovered(f.label, "it swings in a way that a rigid arm does not have"))
+        if effect.role in LOOSE:
+            raise NotCovered(uncovered(f.label, LOOSE[effect.role]))
         if effect.role in ACTING:
             places = _places(effect, f, model)
             damped += places if effect.enters == "damping" else ()

@@ -78,7 +78,17 @@ def on_grid(r: Recording, dt: float) -> Recording:
     trigger = None if r.stop_trigger is None else np.interp(t, r.t, r.stop_trigger.astype(float)) > 0.5
     q, dq, tau = sampled(r.q), sampled(r.dq), sampled(r.tau)
     assert q is not None and dq is not None and tau is not None
-    return replace(r, t=t, q=q, dq=dq, tau=tau, temp=sampled(r.temp), current=sampled(r.current), stop_trigger=trigger)
+    return replace(
+        r,
+        t=t,
+        q=q,
+        dq=dq,
+        tau=tau,
+        temp=sampled(r.temp),
+        current=sampled(r.current),
+        q_link=sampled(r.q_link),
+        stop_trigger=trigger,
+    )
 
 
 def _held(motion: dict[SuiteKey, int], learnt: frozenset[SuiteKey]) -> frozenset[SuiteKey]:

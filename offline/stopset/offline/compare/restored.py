@@ -27,7 +27,7 @@ def restored(model: Model | TorqueModel, trials: Iterable[Recording], cutoff: fl
             y = model_torque(model, m)
             tau = m.raw_tau + y - m.smooth(y) if m.narrow else m.raw_tau
             q, dq = (np.column_stack([np.interp(m.t, r.t, c) for c in x.T]) for x in (r.q, r.dq))
-            yield replace(r, t=m.t, q=q, dq=dq, tau=tau, temp=m.temp, current=None, stop_trigger=None)
+            yield replace(r, t=m.t, q=q, dq=dq, tau=tau, temp=m.temp, current=None, q_link=None, stop_trigger=None)
 
 
 def model_torque(model: Model | TorqueModel, m: PreparedMotion) -> Array:

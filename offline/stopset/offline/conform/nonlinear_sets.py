@@ -270,5 +270,7 @@ def thinned(r: Recording, u: Array, every: int) -> tuple[Recording, Array]:
     (x, mean) = coarser([(np.hstack([r.q, r.dq]), u)], every)[0]
     at, n = slice(0, (len(x) - 1) * every + 1, every), r.q.shape[1]
     temp = None if r.temp is None else r.temp[at]
-    coarse = replace(r, t=r.t[at], q=x[:, :n], dq=x[:, n:], tau=r.tau[at], temp=temp, current=None, stop_trigger=None)
+    coarse = replace(
+        r, t=r.t[at], q=x[:, :n], dq=x[:, n:], tau=r.tau[at], temp=temp, current=None, q_link=None, stop_trigger=None
+    )
     return coarse, mean

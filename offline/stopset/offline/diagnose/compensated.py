@@ -296,7 +296,7 @@ def _averaged(r: Recording, factor: int) -> Recording:
     keep = slice(0, rows * factor, factor)
     tau = r.tau[: rows * factor].reshape(rows, factor, -1).mean(axis=1)
     return replace(
-        r, t=r.t[keep], q=r.q[keep], dq=r.dq[keep], tau=tau, temp=None if r.temp is None else r.temp[keep], current=None,
+        r, t=r.t[keep], q=r.q[keep], dq=r.dq[keep], tau=tau, q_link=None, temp=None if r.temp is None else r.temp[keep], current=None,
         stop_trigger=None,
     )  # fmt: skip
 

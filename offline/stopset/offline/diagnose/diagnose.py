@@ -64,7 +64,11 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     if verdict == "missing" and not ranked:
         refuted = [c for c, r in zip(found.claims, x.ranked, strict=True) if r.objection]
         verdict = "unknown" if any(max(c.excess_before) > limit.SENSORS for c in refuted) else "none"
-    blind = blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names)
+    loose = tuple(r for r in x.plays.ranked if names is None or r.effect in names)
+    blind = (
+        *blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names),
+        *(b for b in x.plays.blind if names is None or b.effect in names),
+    )
     rivals = _rivals(engine, claims) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
@@ -75,10 +79,11 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         "missing": lambda: advice.to_decide(rivals),
         "none": lambda: advice.to_see(blind),
     }[verdict]()
+    named = (*(ranked if verdict == "missing" else ()), *loose)
     return Diagnosis(
-        verdict=verdict,
-        ranked=ranked if verdict == "missing" else (),
-        claims=ranked,
+        verdict="missing" if loose else verdict,
+        ranked=named,
+        claims=(*ranked, *loose),
         rivals=rivals,
         depends_on=_depends(verdict, worst, shown, joints),
         not_identifiable=blind,

@@ -17,6 +17,7 @@ from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.explain.uncertainty import deviations, drives_scale
 from stopset.offline.diagnose.load import of_a_body, says
+from stopset.offline.diagnose.plays import Plays, plays
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
@@ -36,6 +37,7 @@ class Examination:
     found: Found
     left: Left
     ranked: tuple[Ranked, ...]
+    plays: Plays  # what angles behind the gears say, beside all torque
 
     @property
     def engine(self) -> Engine:
@@ -70,7 +72,7 @@ def examine(
     found = search(already, names, progress=progress)
     progress("what is left, and what these recordings cannot tell")
     left = left_of(found)
-    return Examination(already, found, left, _ranked(found, already, left))
+    return Examination(already, found, left, _ranked(found, already, left), plays(robot, recordings))
 
 
 def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:

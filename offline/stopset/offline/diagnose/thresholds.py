@@ -97,6 +97,11 @@ KNOWN_SCALES = (0.1, 0.3)  # of `Tolerance`
 
 # asked of a finished model: what changed since, and whether `add` takes an effect
 CHANGE_LOWERED = 0.05  # of a joint's torque error
+PLAY_SURE = 4.0  # standard errors
+PLAY_LOWERED = 0.05  # of the held-out error of the angle behind the gear
+PLAY_CROSSING = 0.1  # of the link's torque, root mean square
+PLAY_ROWS = 20
+PLAY_BEND = 0.01  # of the gear's bend, root mean square
 CHANGE_SURE = 4.0  # standard errors
 DAILY = 0.10  # of its level
 LEAST_GAIN = 0.02  # of the torque
@@ -292,6 +297,17 @@ SETTLED = (
               "chosen"),
     Threshold("KNOWN_SCALES", "how far links may be off such a model, in the description's tolerance; found by evidence", "",
               "chosen: only what has changed is asked for"),
+    Threshold("PLAY_SURE", "standard errors that a gear's play must exceed", "",
+              "chosen: every joint with a second encoder is asked"),
+    Threshold("PLAY_LOWERED", "held-out error of the angle behind the gear that its play lowers", "%",
+              "chosen, as of one joint's torque"),
+    Threshold("PLAY_CROSSING", "share of the link's torque within which its side is not certain", "%",
+              "chosen: descriptions are off by as much"),
+    Threshold("PLAY_BEND", "error of a gear's play by that of the link's torque, of the gear's bend", "%",
+              "a UR10e-like elbow of 1e4 N m/rad, bent by 20 arcmin, on a description 2 to 5 % off: 0.15 to 0.18 arcmin too little "
+              "(`benchmarks/backlash.py`)"),
+    Threshold("PLAY_ROWS", "rows that are wanted of either side of the link's torque", "",
+              "chosen: a second of a recording"),
 )  # fmt: skip
 
 # of a finished model: no model file rests on these

@@ -34,7 +34,7 @@ from stopset.offline.conform import (
     tightness,
     zonotopes,
 )  # fmt: skip
-from stopset.offline.diagnose import compensated, thresholds
+from stopset.offline.diagnose import compensated, plays, thresholds
 from stopset.offline.diagnose.columns import elasticity
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors
 from stopset.offline.diagnose.explain import uncertainty
@@ -139,7 +139,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("nonlinear sets", nonlinear_sets, "KEEP MOST_LEFT_OUT TOLERANCE"),
     ("zonotopes", zonotopes, "POSES SAME REACH"),
     ("figures", metrics, "AVERAGING KINDS LONGEST"),
-    ("spread of stops", spread_bands, "RISK TIMES TORQUES WIDEN WIDENINGS"),
+    ("spread of stops", spread_bands, "RISK TIMES TORQUES WIDEN WIDENINGS DOUBLINGS"),
     ("ramps", controlled, "KINDS START SOFT CONTROL"),
     ("impulses", impulse, "SLIDING SHORTEST"),
     ("judge of stops", judge, "BEFORE SLOW PIECES"),
@@ -171,6 +171,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis wanted", wanted, "LAGS"),
+    ("diagnosis play", plays, "PART SOFT CROSSING STILL"),
     ("diagnosis open loop", compensated, "STEP SCREENING FINALISTS"),
 )
 

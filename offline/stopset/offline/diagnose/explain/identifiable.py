@@ -96,6 +96,8 @@ def places(engine: Engine, effect: Effect) -> list[tuple[int, ...]]:
 def _whole(engine: Engine, effect: Effect) -> str | None:
     """Why an effect can't be seen at any joint; "" where the question does not arise, None where each joint is asked."""
     temp = engine.data.temp
+    if effect.role == "play":
+        return ""  # no torque shows it: see `plays`
     if "temp" in effect.needs:
         if temp is None:
             return UNRECORDED

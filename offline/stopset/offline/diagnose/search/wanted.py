@@ -24,6 +24,8 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
     for effect in catalogue().values():
         if effect.base or (names is not None and effect.name not in names) or effect.periodic:
             continue
+        if effect.role == "play":
+            continue  # its torque shows nothing: see `plays`
         if effect.effort == "compensated_torque" and not engine.source.compensated:
             continue  # the whole rigid body is in the base model
         if ("temp" in effect.needs and d.temp is None) or (effect.instead_of == "temp" and d.temp is not None):

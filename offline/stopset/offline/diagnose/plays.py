@@ -1,0 +1,135 @@
+"""Play in a gear, where a second encoder reads the angle behind it: there the torque of the link jumps it from one flank to the other.
+
+What the link lies off its motor is the gear's bend, in proportion to the link's torque; with play it is half the gap more, on the side
+to which that torque pushes.  Beside both a constant, the encoders' once-per-turn errors, friction behind the gear and readings of
+another moment are fitted.  A gear that is merely soft about zero bends smoothly there: where a smooth curve explains as much there is no
+gap.  The motor's torque tells none of it: see docs/diagnosis.md.
+
+Source: Nordin & Gutman (2002), Controlling mechanical systems with backlash: a survey.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stopset.effects import Effect, catalogue
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.answer import Parameter, Ranked
+from stopset.offline.diagnose.explain.identifiable import Blind
+from stopset.offline.diagnose.standing import moves
+from stopset.offline.nominal.preprocess import Preprocessing, motions
+from stopset.recording import Recordings
+from stopset.robot import Robot
+from stopset.robot.rigid import torques
+from stopset.types import Array, Mask
+
+UNREAD = "no angle behind the gear is recorded (q_link_<joint>), and motor torque does not show it"
+ONE_SIDED = "the link's torque never changes its side, so it lies on one flank"
+PART = 2.5  # [s] of a motion that may err alike
+SOFT = (0.3, 1.0)  # of the link's torque, root mean square, over which a soft gear may turn over
+CROSSING = 2  # rows, of 0.05 s
+STILL = 0.015  # [rad/s] below which a link's friction may point anywhere
+
+
+@dataclass(frozen=True, slots=True)
+class Plays:
+    """What the second encoders say: gears with play, and joints of which nothing could be said."""
+
+    ranked: tuple[Ranked, ...]
+    blind: tuple[Blind, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Behind:
+    """Rows of one joint, (N,): ``x`` [rad] link minus motor angle, ``tau`` [N m] of the link, ``q, dq``; ``part``: what may err alike."""
+
+    x: Array
+    tau: Array
+    q: Array
+    dq: Array
+    part: Array
+
+    def columns(self, *more: Array) -> Array:
+        fixed = (np.ones_like(self.x), np.sin(self.q), np.cos(self.q), self.dq, np.tanh(self.dq / STILL), self.tau)
+        return np.stack([*fixed, *more], axis=1)
+
+
+def plays(robot: Robot, recordings: Recordings) -> Plays:
+    """Gears with play at the joints whose angle behind the gear is recorded; ``robot``: whose rigid body tells the links' torques."""
+    effect = next(e for e in catalogue().values() if e.role == "play")
+    unread, one_sided, ranked = list[str](), list[str](), list[Ranked]()
+    for j, rows in enumerate(_rows(robot, recordings)):
+        joint = robot.joints[j]
+        if rows is None:
+            unread.append(joint)
+        elif min(int((rows.tau > 0).sum()), int((rows.tau < 0).sum())) < limit.PLAY_ROWS:
+            one_sided.append(joint)
+        elif (found := _gap(effect, joint, rows)) is not None:
+            ranked.append(found)
+    reasons = ((UNREAD, unread), (ONE_SIDED, one_sided))
+    return Plays(
+        tuple(ranked), tuple(Blind(effect.name, tuple(where), why, effect.distinguished_by) for why, where in reasons if where)
+    )
+
+
+def _rows(robot: Robot, recordings: Recordings) -> list[_Behind | None]:
+    """Of every joint the rows at which its link's torque has a side; None where no angle behind the gear was recorded."""
+    parts: list[list[Array]] = [[] for _ in robot.joints]
+    for k, r in enumerate(recordings):
+        if r.q_link is None or not moves(r):
+            continue
+        for m in motions(r, Preprocessing()):
+            at = m.retained
+            q, dq, ddq = (np.ascontiguousarray(x[at]) for x in (m.q, m.dq, m.ddq))
+            link = torques(robot.chain, robot.pi, q, dq, ddq)
+            part = 1e4 * k + np.floor(m.t[at] / PART)
+            for j in range(robot.n):
+                x = np.interp(m.t[at], r.t, r.q_link[:, j] - r.q[:, j])
+                take = np.isfinite(x) & _bears(link[:, j])
+                parts[j].append(np.stack([x, link[:, j], q[:, j], dq[:, j], part])[:, take])
+    return [_sided(np.concatenate(p, axis=1)) if p and any(x.size for x in p) else None for p in parts]
+
+
+def _bears(tau: Array) -> Mask:
+    """Rows (N,) not next to one at which the link's torque ``tau`` changes its side: there it may still be on its way."""
+    turned = np.concatenate([[False], np.diff(np.sign(tau)) != 0, [False]])
+    near = np.convolve(turned, np.ones(2 * CROSSING + 2), mode="same") > 0.5
+    return ~(near[:-1] | near[1:])
+
+
+def _sided(rows: Array) -> _Behind:
+    tau = rows[1]
+    certain = np.abs(tau) > limit.PLAY_CROSSING * np.sqrt(np.mean(tau**2))
+    return _Behind(*rows[:, certain])
+
+
+def _gap(effect: Effect, joint: str, rows: _Behind) -> Ranked | None:
+    """The claim of one joint; None where it has none."""
+    number, parts = np.unique(rows.part, return_inverse=True)
+    if len(number) < 4:
+        return None
+    side, size = -0.5 * np.sign(rows.tau), float(np.sqrt(np.mean(rows.tau**2)))
+    plain, wide = rows.columns(), rows.columns(side)
+    soft = [rows.columns(-0.5 * np.tanh(rows.tau / (w * size))) for w in SOFT]
+    gaps, left = np.empty(len(number)), np.empty((2 + len(soft), len(rows.x)))
+    for k in range(len(number)):
+        out = parts == k
+        for model, A in enumerate((plain, wide, *soft)):
+            theta = np.linalg.lstsq(A[~out], rows.x[~out], rcond=None)[0]
+            left[model, out] = rows.x[out] - A[out] @ theta
+            if model == 1:
+                gaps[k] = theta[-1]
+    bend, gap = np.linalg.lstsq(wide, rows.x, rcond=None)[0][-2:].tolist()
+    jackknife = (len(gaps) - 1) * float(np.mean((gaps - gaps.mean()) ** 2))
+    std = float(np.hypot(np.sqrt(jackknife), limit.PLAY_BEND * bend * size))  # what all parts err by alike is the description's
+    before, after, *smooth = (float(x) for x in np.sqrt(np.mean(left**2, axis=1)))
+    term = effect.terms[0]
+    inside = term.lo - limit.SURE * std <= gap <= term.hi + limit.SURE * std
+    if not inside or gap < limit.PLAY_SURE * std or after > (1 - limit.PLAY_LOWERED) * before or after > min(smooth):
+        return None
+    return Ranked(
+        effect.name, (joint,), (gap / std) ** 2, before, after, {term.symbol: Parameter(gap, term.unit, std)}, effect.look_at, effect.says,
+        unit="rad",
+    )  # fmt: skip
