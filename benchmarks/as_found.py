@@ -34,7 +34,8 @@ MIDDAY = 0.6  # place in the day: the arm is warm
 @dataclass(frozen=True, slots=True)
 class Trouble:
     """What is wrong: ``gain`` true over recorded torque of all drives, ``lost`` share of samples, ``scatter`` [s] of the stamps,
-    ``drift`` [N m] of the first joint's torque from begin to end, ``late`` [s] torque of all joints, ``change`` of the arm itself."""
+    ``drift`` [N m] of the first joint's torque from begin to end, ``late`` [s] torque of all joints, ``change`` of the arm itself,
+    ``speed`` of its motions, in shares of their limits."""
 
     gain: float = 1.0
     lost: float = 0.0
@@ -42,6 +43,7 @@ class Trouble:
     drift: float = 0.0
     late: float = 0.0
     change: Callable[[SimulatedPlant], SimulatedPlant] = lambda plant: plant
+    speed: float = 0.8
 
 
 def play_in_the_gear(plant: SimulatedPlant) -> SimulatedPlant:
@@ -58,7 +60,7 @@ def recorded(s: Scenario, lengths: tuple[float, ...], rate: float, trouble: Trou
     build = point_to_point if len(lengths) > 1 else fourier
     trials = []
     for k, seconds in enumerate(lengths):
-        motion = build(cell.space, seconds, 0.8, TICK, cell.random("production", k))
+        motion = build(cell.space, seconds, trouble.speed, TICK, cell.random("production", k))
         trials.append(_logged(cell, Measurement("closed_loop", k, 0, motion), rate, trouble))
     return Recordings(replace(s.meta, sources=(), rate_hz=rate), tuple(trials))
 
