@@ -34,8 +34,8 @@ MIDDAY = 0.6  # place in the day: the arm is warm
 @dataclass(frozen=True, slots=True)
 class Trouble:
     """What is wrong: ``gain`` true over recorded torque of all drives, ``lost`` share of samples, ``scatter`` [s] of the stamps,
-    ``drift`` [N m] of the first joint's torque from begin to end, ``late`` [s] torque of all joints, ``change`` of the arm itself;
-    ``behind``: [rad] what encoders behind the gears resolve, 0: there are none."""
+    ``drift`` [N m] of the first joint's torque from begin to end, ``late`` [s] torque of all joints, ``change`` of the arm itself,
+    ``speed`` of its motions, in shares of their limits; ``behind``: [rad] what encoders behind the gears resolve, 0: there are none."""
 
     gain: float = 1.0
     lost: float = 0.0
@@ -44,6 +44,7 @@ class Trouble:
     late: float = 0.0
     change: Callable[[SimulatedPlant], SimulatedPlant] = lambda plant: plant
     behind: float = 0.0
+    speed: float = 0.8
 
 
 def geared(joint: int, stiffness: float, gap: float) -> Callable[[SimulatedPlant], SimulatedPlant]:
@@ -69,7 +70,7 @@ def recorded(s: Scenario, lengths: tuple[float, ...], rate: float, trouble: Trou
     build = point_to_point if len(lengths) > 1 else fourier
     trials = []
     for k, seconds in enumerate(lengths):
-        motion = build(cell.space, seconds, 0.8, TICK, cell.random("production", k))
+        motion = build(cell.space, seconds, trouble.speed, TICK, cell.random("production", k))
         trials.append(_logged(cell, Measurement("closed_loop", k, 0, motion), rate, trouble))
     return Recordings(replace(s.meta, sources=(), rate_hz=rate), tuple(trials))
 

@@ -7,6 +7,7 @@ OUT, so a run may be broken off and taken up again.
 
     python benchmarks/found_pairs.py ask ARMS... --seed 300 --out OUT [--parallel 2]
     python benchmarks/found_pairs.py ask ARMS... --seed 300 --drawn 50 --out OUT      (cases drawn at random: any effect, joint, size, trouble)
+    python benchmarks/found_pairs.py ask ARMS... --seed 300 --drawn 50 --weeks --out OUT      (and what weeks and loggers add, `weeks_later`)
     python benchmarks/found_pairs.py rate --out OUT
 """
 
@@ -55,6 +56,8 @@ class Case:
     change: Callable[[SimulatedPlant, int], SimulatedPlant] | None = None
     verdicts: tuple[str, ...] = ("missing", "changed")
     says: tuple[str, ...] = ()  # effects that name it, any of them; its own, unless given
+    before: Trouble = field(default_factory=Trouble)  # of the healthy file of a pair
+    age: float = 0.0  # by what share a joint's friction differs weeks later, one standard deviation
 
 
 def _of(x: float) -> Callable[[Robot, int], float]:
@@ -106,6 +109,12 @@ CASES = (
 DRAWN = (
     *EFFECTS, ("quadratic_load", "loaded", _of(2e-3)), ("coupling", "upright", _of(0.2)), ("encoder_offset", "loaded", _of(0.03)),
 )  # fmt: skip
+CREEPS, PLAYS, DRIFTS, AGE = (
+    0.1,
+    0.3,
+    0.3,
+    0.03,
+)  # share of files of creeping motion; of healthy ones with play, drift; `Case.age`
 FACTOR, HEALTHY, ODDS = 2.0, 0.25, 0.3  # how far a size is off its usual one, share of healthy arms, of files with each trouble
 
 
@@ -131,6 +140,32 @@ def drawn(seed: int, joints: int) -> Case:
     )  # fmt: skip
 
 
+def weeks_later(case: Case, seed: int) -> Case:
+    """What weeks, and a logger that stays the same one, add to a drawn case: friction that is another by a few percent at each joint,
+    torque constants and a lag that both files have, a torque sensor that drifts, play in a gear, an arm that only creeps.
+
+    No file of an arm that creeps need show what is hidden in it; none may show what is not.
+    """
+    rng = np.random.default_rng([seed, 1])
+    gain, late, sort = (
+        (1.0 if rng.random() > ODDS else float(rng.uniform(0.95, 1.05))),
+        0.012 * (rng.random() < ODDS),
+        rng.random(),
+    )
+    trouble, verdicts, says = case.trouble, case.verdicts, case.says or (case.effect,)
+    if case.pair:
+        trouble = replace(trouble, gain=gain, late=late)
+    if sort < CREEPS:
+        trouble, verdicts = replace(trouble, speed=0.06), (*verdicts, "none", "unknown")
+    elif sort < CREEPS + PLAYS and not case.effect:
+        trouble, says = replace(trouble, change=play_in_the_gear), (*says, "backlash")
+        verdicts = ("none", "unknown", "missing")
+    elif sort < CREEPS + PLAYS + DRIFTS and not case.effect:
+        trouble, verdicts = replace(trouble, drift=float(rng.uniform(0.3, 1.0))), ("none", "unknown")
+    before = replace(trouble, change=Trouble().change, drift=0.0, speed=0.8) if case.pair else Trouble()
+    return replace(case, trouble=trouble, verdicts=verdicts, says=says, before=before, age=AGE * case.pair)
+
+
 def joint_of(robot: Robot, place: str) -> int:
     """Where a case happens."""
     if place.isdigit():
@@ -151,7 +186,11 @@ def made(path: str, case: Case, seed: int) -> tuple[Robot, Model, Recordings, bo
     rate = (100.0, 125.0)[seed % 2]
     scenario = prepare(robot, ["none"], seed, "short", cad="wrong" if seed % 3 else "exact")
     changed = _changed(scenario, case, joint_of(robot, case.place))
-    arm, lengths, trouble = (scenario, PROGRAM, Trouble()) if case.pair else (changed, case.lengths, case.trouble)
+    if case.age:
+        plant, rng = changed.cell.truth.plant, np.random.default_rng([seed, 2])
+        worn = plant._replace(**{k: getattr(plant, k) * np.exp(rng.normal(0.0, case.age, robot.n)) for k in ("fc", "fv")})
+        changed = replace(changed, cell=replace(changed.cell, truth=replace(changed.cell.truth, plant=worn)))
+    arm, lengths, trouble = (scenario, PROGRAM, case.before) if case.pair else (changed, case.lengths, case.trouble)
     first = recorded(arm, lengths, rate, trouble, seed + 100)
     first = replace(first, meta=replace(first.meta, sources=(("first.parquet", "first"),)))
     campaign = Campaign(first.meta, lambda: iter(first.trials))
@@ -202,10 +241,12 @@ def judged(found: Diagnosis, case: Case, robot: Robot, joint: int) -> dict[str, 
 
 
 def one(job: tuple[str, str, int, Path]) -> str:
+    """Asks one case, unless its answer is kept; ``job``: arm, name of the case (``drawn``, ``weeks``: one of those), seed, and where."""
     path, name, seed, out = job
     file = out / f"{Path(path).parent.name or path}_{seed}_{name.replace(' ', '_')}.json"
     if not file.exists():
-        case = next(c for c in CASES if c.name == name) if name != "drawn" else drawn(seed, load_robot(path).n)
+        case = next((c for c in CASES if c.name == name), None) or drawn(seed, load_robot(path).n)
+        case = weeks_later(case, seed) if name == "weeks" else case
         try:
             answer = asked(path, case, seed)
         except StopsetError as error:  # a refusal is an answer, too
@@ -239,6 +280,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--parallel", type=int, default=2)
     parser.add_argument("--drawn", type=int, default=0, help="so many cases drawn at random instead")
+    parser.add_argument("--weeks", action="store_true", help="drawn cases with what weeks and loggers add")
     parser.add_argument("--only", default="", help="cases whose name begins so, comma-separated")
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -249,7 +291,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             for k, case in enumerate(CASES) for arm in (args.arms[k % len(args.arms)],) if case.name.startswith(only)
         ]  # fmt: skip
         if args.drawn:
-            jobs = [(args.arms[k % len(args.arms)], "drawn", args.seed + 7 * k, args.out) for k in range(args.drawn)]
+            name = "weeks" if args.weeks else "drawn"
+            jobs = [(args.arms[k % len(args.arms)], name, args.seed + 7 * k, args.out) for k in range(args.drawn)]
         with ProcessPoolExecutor(args.parallel) as pool:
             for line in pool.map(one, jobs):
                 print(line, flush=True)
