@@ -100,6 +100,12 @@ def test_every_threshold_has_a_meaning_and_a_calibration() -> None:
 FINENESS = (
     ("changes", "RIDGE", "rounding"),
     ("columns/elasticity", "RATHER_NOT SUBSTEPS SWING_ROUNDS", "how finely a swing is integrated"),
+    (
+        "plays",
+        "PART FEWEST STILL",
+        "how a recording is cut, into how many pieces at least, and how friction behind a gear is fitted",
+    ),
+    ("plays", "SOFT CROSSING", "two widths of a gear's bend; rows beside a change of sides"),
     ("search/ripple", "STEP RIPPLES", "grid of a search"),
     ("compensated", "STEP SCREENING FINALISTS", "how finely is simulated, and how many are simulated to the end"),
     ("evidence/baseline", "POSES", "how many poses an average is taken over"),

@@ -151,6 +151,7 @@ class Place:
     page: str = ""
     ports: dict[str, int] = field(default_factory=dict)  # by configuration, and of the router
     monitored: set[str] = field(default_factory=set)
+    replays: list[subprocess.Popen[str]] = field(default_factory=list)
 
     def port(self, name: str) -> int:
         return self.ports.setdefault(name, free_port())
@@ -279,7 +280,8 @@ FILES: dict[str, Callable[[Place, str], None]] = {
 
 def replay(place: Place, recording: str, endpoint: str, key: str) -> None:
     place.take(recording)
-    place.stack.enter_context(running("replay", recording, "--to", f"zenoh:{endpoint}", "--key", key, "--loop"))
+    process = place.stack.enter_context(running("replay", recording, "--to", f"zenoh:{endpoint}", "--key", key, "--loop"))
+    place.replays.append(process)
 
 
 def monitored(place: Place, name: str = "cell.toml", more: str = "") -> str:
@@ -395,6 +397,10 @@ def type_line(place: Place, line: str) -> None:
             assert answers(int(words[-1])), f"{line}: its page does not answer"
         assert process.returncode == 0, f"{line} ended with {process.returncode}"
     else:
+        if words[:2] == ["stopset", "reset"]:  # each sample that leaves the model is a violation of its own
+            for process in place.replays:
+                process.terminate()
+                process.wait(timeout=60)
         done = run(words, place.folder)
         assert done.returncode == (line in SAYS_NO), (
             f"{line} ended with {done.returncode}: {done.stdout[-500:]}{done.stderr[-1000:]}"

@@ -126,6 +126,7 @@ LEFT_OUT = (
     ("stopset.ring.tape", "*", CODES),
     ("stopset.robot.rigid", "_ARM", CODES),
     ("stopset.robot.drives", "_KNOWN", "names of a data sheet's fields"),
+    ("stopset.robot.drives", "ON_EARTH LATEST STRONGEST", REFUSED),
 )  # fmt: skip
 
 

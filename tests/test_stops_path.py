@@ -12,6 +12,7 @@ import pytest
 
 import stopset.reach.stops.path
 from stopset.artifact import Model
+from stopset.core.library import lib
 from stopset.effects.base import Fitted
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBounds
@@ -203,8 +204,8 @@ def test_a_path_stop_needs_brakes_that_hold_the_arm_as_any_stop_does() -> None:
     assert not at.certified and int(np.argmin(at.holding_margin)) == int(np.argmin(bound.holding_margin))
 
 
-def test_the_core_lets_brakes_hold_where_they_hold_at_every_pose(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It asks around stretches of the way first, and pose by pose where that is too much: from brakes too weak to strong ones."""
+def core_s_answers(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Codes of the core's path stops from here on, two to an answer: it asks where the path ends first."""
     core, codes = stopset.reach.stops.path.lib, list[int]()
 
     class Listened:
@@ -214,12 +215,27 @@ def test_the_core_lets_brakes_hold_where_they_hold_at_every_pose(monkeypatch: py
             return lambda *args: codes.append(core.stopset_path_stop(*args)) or codes[-1]
 
     monkeypatch.setattr(stopset.reach.stops.path, "lib", Listened())
+    return codes
+
+
+def test_the_core_lets_brakes_hold_where_they_hold_at_every_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It asks around stretches of the way first, and pose by pose where that is too much: from brakes too weak to strong ones."""
+    codes = core_s_answers(monkeypatch)
     certified = [
         path_stop(StopBounds.of(weak_brakes(x), ramp=RAMP), Path.through(POINTS), 0.5, 1.5).bound.certified
         for x in np.linspace(0.9, 2.1, 60)
     ]
-    codes = codes[1::2]  # each model asks where the path ends first
-    assert not certified[0] and certified[-1] and [c == core.STOPSET_OK for c in codes] == certified
+    assert not certified[0] and certified[-1] and [c == lib.STOPSET_OK for c in codes[1::2]] == certified
+
+
+def test_power_that_is_taken_before_the_path_stop_is_over_leaves_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the core as in Python, by the moment at which it is over."""
+    codes = core_s_answers(monkeypatch)
+    path, over = Path.through(POINTS), path_stop(BOUNDS, Path.through(POINTS), 0.5, 1.5).bound.time.max()
+    for off_after, stops in ((0.0, False), (over - 1e-6, False), (over, True), (2.0 * over, True)):
+        bound = path_stop(replace(BOUNDS, ramp=replace(RAMP, off_after=off_after)), path, 0.5, 1.5).bound
+        assert bound.certified == stops == (codes[-1] == lib.STOPSET_OK)
+        assert stops or (bound.time is None and "before" in bound.why)
 
 
 def test_a_ramp_that_begins_early_ends_where_the_arm_is_held_as_told() -> None:

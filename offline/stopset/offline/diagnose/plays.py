@@ -28,6 +28,7 @@ from stopset.types import Array, Mask
 UNREAD = "no angle behind the gear is recorded (q_link_<joint>), and motor torque does not show it"
 ONE_SIDED = "the link's torque never changes its side, so it lies on one flank"
 PART = 2.5  # [s] of a motion that may err alike
+FEWEST = 4  # of these, from which on their scatter tells an error
 SOFT = (0.3, 1.0)  # of the link's torque, root mean square, over which a soft gear may turn over
 CROSSING = 2  # rows, of 0.05 s
 STILL = 0.015  # [rad/s] below which a link's friction may point anywhere
@@ -95,7 +96,8 @@ def _rows(robot: Robot, recordings: Recordings) -> list[_Behind | None]:
 def _bears(tau: Array) -> Mask:
     """Rows (N,) not next to one at which the link's torque ``tau`` changes its side: there it may still be on its way."""
     turned = np.concatenate([[False], np.diff(np.sign(tau)) != 0, [False]])
-    near = np.convolve(turned, np.ones(2 * CROSSING + 2), mode="same") > 0.5
+    window = np.ones(2 * (CROSSING + 1), int)
+    near = np.convolve(turned.astype(int), window, mode="same") > 0
     return ~(near[:-1] | near[1:])
 
 
@@ -108,7 +110,7 @@ def _sided(rows: Array) -> _Behind:
 def _gap(effect: Effect, joint: str, rows: _Behind) -> Ranked | None:
     """The claim of one joint; None where it has none."""
     number, parts = np.unique(rows.part, return_inverse=True)
-    if len(number) < 4:
+    if len(number) < FEWEST:
         return None
     side, size = -0.5 * np.sign(rows.tau), float(np.sqrt(np.mean(rows.tau**2)))
     plain, wide = rows.columns(), rows.columns(side)

@@ -171,7 +171,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis wanted", wanted, "LAGS"),
-    ("diagnosis play", plays, "PART SOFT CROSSING STILL"),
+    ("diagnosis play", plays, "PART FEWEST SOFT CROSSING STILL"),
     ("diagnosis open loop", compensated, "STEP SCREENING FINALISTS"),
 )
 
