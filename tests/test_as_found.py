@@ -399,6 +399,9 @@ def test_what_is_no_claim() -> None:
     assert objection(heating, near | {"tau_w": 2.0}, {"k_v": 0.9, "k_c": 1.8, "tau_w": 0.045}, 60.0) == ""
     assert "longer than" in objection(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 300.0}, {"k_v": 1.7, "k_c": 0.1}, 9.0)
     assert "beyond what it can be" in objection(load, {"k_lift": 0.2, "k_lower": -0.2}, {"k_lift": 0.02, "k_lower": 0.02}, 60.0)
+    rotor = get("rotor_inertia")  # of an arm that only creeps, whose friction there is another than its law says
+    assert "an inertia of -0.409 kg m^2" in objection(rotor, {"dJ": -1.814}, {"dJ": 0.481}, 60.0, 1.4046)
+    assert objection(rotor, {"dJ": -1.0}, {"dJ": 0.1}, 60.0, 1.4046) == "" == objection(rotor, {"dJ": 0.5}, {"dJ": 0.1}, 60.0)
     shape = {"K": 6588.0, "D": 199.0}
     assert "times what such a gear makes" in objection(gear, {"share": 1.5, **shape}, {"share": 0.06}, 60.0)
     assert objection(gear, {"share": 1.05, **shape}, {"share": 0.005}, 60.0) == ""

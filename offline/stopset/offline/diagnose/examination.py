@@ -133,7 +133,9 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     objections = []
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
-        objections.append(objection(claim.scored.candidate.effect, values, std, seconds))
+        c = claim.scored.candidate
+        rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
+        objections.append(objection(c.effect, values, std, seconds, rotor))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):

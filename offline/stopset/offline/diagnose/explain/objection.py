@@ -8,8 +8,11 @@ from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
 
 
-def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float) -> str:
-    """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded."""
+def objection(
+    effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float, rotor: float = 0.0
+) -> str:
+    """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded; ``rotor`` [kg m^2]: what
+    the joint's motor has without it."""
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
     # of a body its mass decides: moments and inertias without one are the description's errors in other words; of a spring its stiffness
     first = effect.terms[0]
@@ -22,6 +25,9 @@ def objection(effect: Effect, values: Mapping[str, float], std: Mapping[str, flo
         v, s = sizes[t.symbol]
         if v < t.lo - limit.SURE * s or v > t.hi + limit.SURE * s:
             return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
+    left = rotor + sizes[first.symbol][0]
+    if effect.enters == "inertia" and first.unit == "kg m^2" and left <= 0.0:  # of a motor, not of a load
+        return f"it would leave the joint's motor an inertia of {left:.3g} {first.unit}: what it stands for is something else"
     # a gear's swing follows from its stiffness: one that is not shown to be as large is something else that looks alike
     if effect.role == "swing" and abs(values["share"] - 1.0) + limit.SURE * sizes["share"][1] > limit.WHOLE:
         v, s = sizes["share"]
