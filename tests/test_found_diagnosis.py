@@ -60,10 +60,6 @@ def case_of(arm: str, name: str, seed: int) -> dict[str, Any]:
     [
         ("hysteresis loaded", 41182),  # the first fit takes what builds up for viscous friction, and leaves hardly any dry one
         ("later healthy one", 41196),  # a moment of five times its error, and a mass of -0.05 +- 0.04 kg, was a payload
-        (
-            "later healthy one",
-            95126,
-        ),  # a link the model's own motions hardly told was taken for known: 6 % were named of a wrist's drive
         ("later dragging", 53224),  # a program that stands half of its time was taken for one of half the speed
         (
             "later counterbalance loaded",
