@@ -1,6 +1,6 @@
 """Play in a gear told by a second encoder: its width against the hidden one, over stiffness, width, encoder and seed.
 
-    python benchmarks/backlash.py [--seeds N] [--first SEED]
+    python benchmarks/backlash.py [--robot URDF] [--joint J] [--seeds N] [--first SEED]
 
 An arm of three joints, or a UR10e (``--robot URDF``), with a gear of 1e5 or 1e4 N m/rad and play of 0 to 5 arcmin at its second joint, along a
 program of six motions of 8 s at 100 Hz, its description 2 to 5 % off in mass.  Second encoders of 19 bit.
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from as_found import ARCMIN, PROGRAM, Trouble, geared, recorded
 
+from stopset.errors import RobotError
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose.plays import plays
 from stopset.simulation import prepare
@@ -33,7 +34,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=6)
     parser.add_argument("--first", type=int, default=20)
     args = parser.parse_args()
-    robot = load_robot(args.robot) if args.robot else robot_from_text(ARM)
+    try:
+        robot = load_robot(args.robot) if args.robot else robot_from_text(ARM)
+    except RobotError as error:
+        parser.error(str(error))
+    if args.seeds < 1 or args.first < 0 or not 0 <= args.joint < robot.n:
+        parser.error(f"expected a seed at least, counted from 0 on, and a joint of 0 to {robot.n - 1}")
     print(
         "| stiffness [N m/rad] | gap [arcmin] | named, of | 95 % intervals that hold it | largest error | elsewhere |\n|---|---|---|---|---|---|"
     )

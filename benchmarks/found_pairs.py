@@ -283,6 +283,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--weeks", action="store_true", help="drawn cases with what weeks and loggers add")
     parser.add_argument("--only", default="", help="cases whose name begins so, comma-separated")
     args = parser.parse_args(argv)
+    if args.weeks and not args.drawn:
+        parser.error("--weeks adds to drawn cases; expected --drawn with how many")
     args.out.mkdir(parents=True, exist_ok=True)
     if args.command == "ask":
         only = tuple(args.only.split(",")) if args.only else ("",)
