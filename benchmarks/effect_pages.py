@@ -39,6 +39,7 @@ LOOK: dict[str, tuple[str, Callable[[Signals], Array]]] = {
     "gravity load, joint 1 over q of joint 1": ("q [rad]", lambda s: s.q),
     "gravity load of all joints": ("gravity load [N m]", lambda s: s.load),
 }
+UNSEEN = " The torque shows nothing of it, here as anywhere: `diagnose` asks an angle that is read behind the gear."
 UNITS = {
     "q": "rad",
     "dq": "rad/s",
@@ -188,7 +189,8 @@ def page(effect: Effect, v: dict[str, float], labels: tuple[str, str]) -> str:
         f"- Telling them apart: {effect.distinguished_by}", f"- Source: {reference(effect.source)}", "",
         "## Curve", "", f"![torque of the law over {labels[0]}]({effect.name}-curve.svg)", "",
         "## How it looks in your residuals", "", f"![residual over {labels[1]}]({effect.name}-residuals.svg)", "",
-        f"Simulated: first joint of a made-up two-joint arm on a multisine, torque noise {NOISE:g} N m, a model without this effect.",
+        f"Simulated: first joint of a made-up two-joint arm on a multisine, torque noise {NOISE:g} N m, a model without this effect."
+        + (UNSEEN if effect.role == "play" else ""),
         "",
     ])  # fmt: skip
 
