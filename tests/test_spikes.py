@@ -76,6 +76,14 @@ def test_what_the_motion_answers_is_no_spike(whole: Recordings) -> None:
     assert without_spikes(off(r, k, 1, -170.0)).spikes and not without_spikes(replace(off(r, k, 1, -170.0), dq=dq)).spikes
 
 
+def test_what_rings_is_no_spike(whole: Recordings) -> None:
+    """As a Gen3's drive that catches up after samples were lost: 13 N m for one sample, then -2.4 and twice -5.7 N m."""
+    r = whole.trials[0]
+    k = swift(r, 1)
+    first = off(r, k, 1, -170.0)
+    assert without_spikes(first).spikes and not without_spikes(off(first, k + 2, 1, 70.0, 2)).spikes
+
+
 @pytest.mark.parametrize("samples", [2, 5])
 def test_what_lasts_is_no_spike(whole: Recordings, samples: int) -> None:
     r = whole.trials[0]

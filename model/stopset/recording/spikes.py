@@ -17,10 +17,11 @@ from stopset.types import Array
 
 FEWEST = 300  # samples of a trial that tell what is usual
 RARE = 0.001  # share of a trial's samples; where more stand out it is how the signal is
-# times the peaks that all but a hundredth of samples stay below.  Of real recordings, joints in mid-motion reach 4.0 (benchmarks/spikes.py)
+# times the peaks that all but a hundredth of samples stay below.  Of real and simulated recordings 1.8 is reached (benchmarks/spikes.py)
 OUT = 8.0
 SEEN = 0.2  # of what the joint's torque spans, all but its outermost hundredths: less widens nothing
-FLAT = 0.2  # of a peak, up to which the samples before and after it agree
+FLAT = 0.2  # of a peak, up to which the samples before and after it agree; what happened leaves more than one
+LEVEL = 3  # of these to each side
 BESIDE = 5  # samples to both sides that the joint must be moving
 MOVING = 0.02  # [rad/s]
 ANSWER = 3  # samples to both sides within which a speed would step
@@ -55,20 +56,21 @@ def peaks(r: Recording) -> tuple[Spike, ...]:
 
 
 def standing_out(r: Recording, by: float = OUT) -> list[tuple[Peak, float]]:
-    """Samples of a powered trial that stand out of both neighbours, which agree, by more than ``by`` times what is usual; with the times."""
+    """Samples of a powered trial that stand out of both neighbours by more than ``by`` times what is usual of such; with the times."""
     if r.phase not in ("closed_loop", "open_loop") or len(r.t) < FEWEST:
         return []
     before, after = r.tau[1:-1] - r.tau[:-2], r.tau[1:-1] - r.tau[2:]
     size = np.where(before * after > 0, np.where(np.abs(before) < np.abs(after), before, after), 0.0)
     usual = np.maximum(np.percentile(np.abs(size), 99, axis=0), 1e-12)
     span = np.subtract(*np.percentile(r.tau, [99, 1], axis=0))
-    out = (np.abs(size) > np.maximum(by * usual, SEEN * span)) & (np.abs(before - after) < FLAT * np.abs(size))
+    out = np.abs(size) > np.maximum(by * usual, SEEN * span)
     return [(Peak(int(k) + 1, int(j), float(size[k, j])), float(abs(size[k, j]) / usual[j])) for k, j in np.argwhere(out)]
 
 
 def goes_on(r: Recording, p: Peak) -> bool:
     """Whether the arm moves through a peak as before and after it: then no torque of that size was there."""
-    return _moves(r, p) and not _answered(r.dq, p.k)
+    beside = np.delete(r.tau[max(p.k - LEVEL, 0) : p.k + LEVEL + 1, p.joint], min(p.k, LEVEL))
+    return bool(np.ptp(beside) < FLAT * abs(p.size)) and _moves(r, p) and not _answered(r.dq, p.k)
 
 
 def _moves(r: Recording, p: Peak) -> bool:

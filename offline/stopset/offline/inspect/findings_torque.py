@@ -135,7 +135,7 @@ def spikes(seen: Sequence[tuple[str, Spike]], joints: Sequence[str]) -> list[Fin
 def torque_peaks(seen: Sequence[tuple[str, Spike]], joints: Sequence[str]) -> list[Finding]:
     """Torques of one sample that have a reason in the motion, or may have."""
     return [
-        Finding("torque_peak", "note", joints[x.joint], f"{_stands_out(seen, x)}, where a joint stands or its speed steps",
+        Finding("torque_peak", "note", joints[x.joint], f"{_stands_out(seen, x)}, where a joint stands or speed or torque go on otherwise",
                 "a motion that is led to rest and samples that show what a torque does in between",
                 "look what happens there, a programme that is broken off or a blow: the sets enclose it and are as wide as it is; leave it out "
                 "only if the arm never does it", x.size)
