@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     said = verdict(found)
     say(said.text)
     say(f"what next: {said.next}")
-    for sentence in (*found.said, *found.unsound[1:]):
+    for sentence in (*found.said, *found.unsound[1:], *found.left_out):
         say(sentence)
     say(_over(model, found))
     say(f"{'joint':<22}{'torque':>9}{'in full':>9}{'floor':>9}{'velocity':>10}{'position':>10}   RMS errors, SI")

@@ -69,7 +69,7 @@ def _send(args: argparse.Namespace) -> int:
         )
     if log_suffix(args.recording) in LOG_SUFFIXES:
         return _frames(args)
-    first = next(stream_recordings(args.recording))
+    first = next(stream_recordings(args.recording, garbled=True))
     steps_of(first, stamped=args.to.startswith("zenoh"))
     joints = read_meta(args.recording).joints
     link = None
@@ -96,7 +96,7 @@ def _send(args: argparse.Namespace) -> int:
     try:
         while hub is not None and hub.clients < args.wait:
             time.sleep(0.05)
-        trials = chain.from_iterable(islice(stream_recordings(args.recording), args.trials) for _ in times)
+        trials = chain.from_iterable(islice(stream_recordings(args.recording, garbled=True), args.trials) for _ in times)
         sent, late = play(trials, sink, args.speed)
     finally:
         sink.close()

@@ -20,6 +20,7 @@ from stopset.recording.ends import sound_part
 from stopset.recording.files import files_of, opened, sha256_of
 from stopset.recording.meta import meta_of
 from stopset.recording.rows import sound_rows
+from stopset.recording.spikes import without_spikes
 from stopset.recording.types import PHASES, Meta, Recording, Recordings, counted
 from stopset.robot import Robot
 from stopset.types import Array
@@ -96,12 +97,16 @@ def _check_trial(path: Path, r: Recording, joints: Sequence[str], robot: Robot |
             )
 
 
-def stream_recordings(paths: str | Path | Sequence[str | Path], robot: Robot | None = None) -> Iterator[Recording]:
+def stream_recordings(
+    paths: str | Path | Sequence[str | Path], robot: Robot | None = None, *, garbled: bool = False
+) -> Iterator[Recording]:
     """Yield the trials of the files one by one, in campaign order, signals in the robot's (or the file's) joint order.
 
+    ``garbled``: with the samples that `without_spikes` leaves out, as a monitor would get them.
     Raises `RecordingError` with one sentence for anything that is not a sound recording.
     """
-    return counted(_stream(paths, robot))
+    trials = _stream(paths, robot)
+    return counted(trials if garbled else map(without_spikes, trials))
 
 
 def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None) -> Iterator[Recording]:

@@ -41,6 +41,15 @@ class Meta:
 
 
 @dataclass(frozen=True, slots=True)
+class Spike:
+    """A sample at ``t`` [s] whose torque of ``joint`` is by ``size`` [N m] off both neighbours, with no reason in the motion."""
+
+    t: float
+    joint: int
+    size: float
+
+
+@dataclass(frozen=True, slots=True)
 class Recording:
     """One trial: ``t`` (N,) [s]; ``q, dq, tau`` (N, n) [rad, rad/s, N m]; the rest where it was recorded.
 
@@ -67,6 +76,7 @@ class Recording:
     bent: tuple[float, float] = (0.0, 0.0)  # [s] left out at its beginning and end, where speeds contradict positions
     twice: int = 0  # rows left out that were written twice
     unread: int = 0  # rows left out that lack numbers, see `sound_rows`
+    spikes: tuple[Spike, ...] = ()  # for which samples were left out, see `without_spikes`
     repetition: int = UNCOUNTED
     begun: int = UNCOUNTED
 
@@ -107,13 +117,17 @@ class Recording:
 
     def cut(self, lo: int, hi: int) -> Recording:
         """Samples ``lo`` up to ``hi`` (exclusive) of every signal."""
+        return self.rows(slice(lo, hi))
+
+    def rows(self, at: slice | NDArray[np.intp]) -> Recording:
+        """The samples ``at`` of every signal."""
 
         def part(x: Array | None) -> Array | None:
-            return None if x is None else x[lo:hi]
+            return None if x is None else x[at]
 
-        trigger = None if self.stop_trigger is None else self.stop_trigger[lo:hi]
+        trigger = None if self.stop_trigger is None else self.stop_trigger[at]
         return replace(
-            self, t=self.t[lo:hi], q=self.q[lo:hi], dq=self.dq[lo:hi], tau=self.tau[lo:hi],
+            self, t=self.t[at], q=self.q[at], dq=self.dq[at], tau=self.tau[at],
             temp=part(self.temp), current=part(self.current), q_link=part(self.q_link), stop_trigger=trigger,
         )  # fmt: skip
 

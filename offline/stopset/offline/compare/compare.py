@@ -23,7 +23,7 @@ from stopset.offline.conform.envelope import Deviations, Envelope, state_names
 from stopset.offline.conform.nonlinear import WINDOWS, starts_in, stride_of
 from stopset.offline.conform.nonlinear_sets import thinned, worst_excess
 from stopset.offline.conform.tightness import Along, Tightness, of_tube
-from stopset.offline.inspect.gate import unsound
+from stopset.offline.inspect.gate import left_out, unsound
 from stopset.offline.nominal.low_pass import recorded_low_pass
 from stopset.progress import Progress, silent
 from stopset.reach.flowpipe import DeviationTube, deviation_tube
@@ -76,6 +76,7 @@ class Comparison:
     bands: dict[str, tuple[int, int]] = field(default_factory=dict)  # temperature band -> recordings in it, those that leave it
     said: tuple[str, ...] = ()  # sentences: what the monitors that wrote these files took their violations for
     unsound: tuple[str, ...] = ()  # sentences: readings that are none, see `stopset inspect`
+    left_out: tuple[str, ...] = ()  # sentences: what of the recordings was not compared
 
     @property
     def violations(self) -> tuple[Violation, ...]:
@@ -152,7 +153,8 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
     for k, j in enumerate(model.joints):
         by_joint[j]["torque_rmse_known"] = None if known is None else float(known[k])
     wrong = tuple(f.says for f in unsound(model.robot, metas[0], trials()))
-    return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands, said, wrong)
+    without = left_out(model.robot, trials())
+    return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands, said, wrong, without)
 
 
 def _known(model: Model, r: Recording, u: Array, cutoff: float) -> list[Array]:
@@ -276,6 +278,7 @@ def answer(model: Model, found: Comparison) -> dict[str, Any]:
         "outside_domain": found.outside_domain,
         "said": list(found.said),
         "unsound": list(found.unsound),
+        "left_out": list(found.left_out),
         "sets": {
             j: {
                 "U": [float(s.U.lo[k]), float(s.U.hi[k])],

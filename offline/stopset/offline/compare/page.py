@@ -35,7 +35,7 @@ def page(model: Model, found: Comparison, paths: Sequence[str | Path], shares: E
     drawn = chosen(model, found)
     out.verdict(said.text, said.kind)
     out.next(said.next)
-    for sentence in (*found.said, *found.unsound[1:]):
+    for sentence in (*found.said, *found.unsound[1:], *found.left_out):
         out.text(f"{sentence}.")
     left(out, model, drawn)
     _errors(out, model, found)

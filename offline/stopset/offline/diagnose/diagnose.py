@@ -21,7 +21,7 @@ from stopset.offline.diagnose.question import question
 from stopset.offline.diagnose.remainder import accounts_for, verdict_of
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.diagnose.standing import moves, standing
-from stopset.offline.inspect.gate import check_readings
+from stopset.offline.inspect.gate import check_readings, left_out
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
@@ -107,13 +107,15 @@ def diagnose_model(
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
     check_readings(model.robot, recordings.meta, recordings)
+    without = left_out(model.robot, recordings)
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 
-        return diagnose_open_loop(model, recordings, names, progress), "open-loop simulation from each trial's start"
+        found = diagnose_open_loop(model, recordings, names, progress)
+        return replace(found, notes=(*without, *found.notes)), "open-loop simulation from each trial's start"
     q = question(model, recordings)
     if not any(map(moves, q.asked)):
-        return replace(standing(q.robot, q.recordings, q.fitted), notes=q.notes), q.against
+        return replace(standing(q.robot, q.recordings, q.fitted), notes=(*without, *q.notes)), q.against
     x = examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress)
     found = answered(x, names)
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
@@ -121,7 +123,7 @@ def diagnose_model(
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*q.notes, *found.notes))
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*without, *q.notes, *found.notes))
     found = replace(found, taken_out=q.taken_out)
     if q.known is None:
         return found, q.against

@@ -68,7 +68,7 @@ from stopset.reach import nonlinear as flow
 from stopset.reach.stops import bounds, brakes, failed, gravity, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import clock as recorded_clock
-from stopset.recording import ends, reader
+from stopset.recording import ends, reader, spikes
 from stopset.recording import rows as recorded_rows
 from stopset.ring import interval
 from stopset.robot import drives, generic
@@ -80,6 +80,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading", reader, "PLAUSIBLE_ANGLE PLAUSIBLE_SPEED"),
     ("reading", recorded_clock, "FEWEST_STAMPS PRINTED ROUGH WIDE PAUSE SLOWER"),
     ("reading", recorded_rows, "UNREAD"),
+    ("spikes", spikes, "FEWEST RARE OUT SEEN FLAT LEVEL BESIDE MOVING ANSWER AROUND ANSWERED"),
     ("bent ends", ends, "SLOPE EDGE FEWEST OFF USUAL FADES MOSTLY"),
     ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),

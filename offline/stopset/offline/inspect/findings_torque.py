@@ -11,6 +11,7 @@ from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.fit import ANOTHER_ARM, NOTABLY_OFF, another_arm
 from stopset.offline.nominal.low_pass import TURNS_OVER
+from stopset.recording.types import Spike
 from stopset.types import Array
 
 RIGHT = (0.4, 2.5)  # measured over modelled torque: payload, drive gain and CAD errors live here
@@ -21,6 +22,7 @@ TURNED = 3.5  # standard deviations below zero: by chance in one of 4000 joints 
 SHARES = {100.0: "per cent", 1000.0: "per mille"}  # of a drive's torque, as controllers report it
 PEAK = 4.0  # a drive's torque limit over the rated torque that its reports count in, at most
 LESS = 0.8  # measured over modelled torque below which neither a load nor a description that is off leaves it
+SHOWN = 5  # moments that are told by their time
 DELAY_COMPENSATED = 0.015  # [s] of compensated torque, in which stiction and errors of the compensation look like delay
 DELAY = 0.003  # [s] of torque against motion that friction and inertia would swallow
 
@@ -118,6 +120,37 @@ def torque_shares(scale: Array, std: Array, joints: Sequence[str], limit: Array)
                 f"the torque over what the rigid body needs falls with what the drives have: {seen}; it is in {unit} of it",
                 "about 1, N m on the link side", f"convert tau: times the drive's rated torque over {100 if unit == 'per cent' else 1000}", middle)
     ]  # fmt: skip
+
+
+def spikes(seen: Sequence[tuple[str, Spike]], joints: Sequence[str]) -> list[Finding]:
+    """Samples left out for a torque that is none; ``seen``: with the labels of their trials."""
+    return [
+        Finding("torque_spike", "warning", joints[x.joint], f"{_stands_out(seen, x)}, in the middle of a motion that goes on as before",
+                "a torque that moves the arm", "those samples were left out, as lost ones, by every command; look at the bus or the logger",
+                x.size)
+        for x in _largest(seen)
+    ]  # fmt: skip
+
+
+def torque_peaks(seen: Sequence[tuple[str, Spike]], joints: Sequence[str]) -> list[Finding]:
+    """Torques of one sample that have a reason in the motion, or may have."""
+    return [
+        Finding("torque_peak", "note", joints[x.joint], f"{_stands_out(seen, x)}, where a joint stands or speed or torque go on otherwise",
+                "a motion that is led to rest and samples that show what a torque does in between",
+                "look what happens there, a programme that is broken off or a blow: the sets enclose it and are as wide as it is; leave it out "
+                "only if the arm never does it", x.size)
+        for x in _largest(seen)
+    ]  # fmt: skip
+
+
+def _largest(seen: Sequence[tuple[str, Spike]]) -> list[Spike]:
+    return [max((x for _, x in seen), key=lambda x: abs(x.size))] if seen else []
+
+
+def _stands_out(seen: Sequence[tuple[str, Spike]], largest: Spike) -> str:
+    at = list(dict.fromkeys(f"{x.t:.4g} s of {label}" for label, x in seen))
+    more = f" and {len(at) - SHOWN} more times" if len(at) > SHOWN else ""
+    return f"at {', '.join(at[:SHOWN])}{more} a torque stands out for one sample, by up to {abs(largest.size):.3g} N m from both beside it"
 
 
 def torque_delay(

@@ -19,6 +19,7 @@ from stopset.offline.inspect.findings_torque import (
     RIGHT_TORN,
     misplaced,
     mounted,
+    spikes,
     torque_beyond,
     torque_limits,
     torque_sign,
@@ -68,6 +69,11 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
         hangs = mounting(robot, some)
         _refuse([] if hangs is None else mounted(hangs.gravity, hangs.angle, robot.chain.gravity))
     return _in_words(found)
+
+
+def left_out(robot: Robot, trials: Iterable[Recording]) -> tuple[str, ...]:
+    """What of the trials was left out because its torque is none, in the words of `stopset inspect`."""
+    return _in_words(spikes([(r.label, x) for r in trials for x in r.spikes], robot.joints))
 
 
 def unsound(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[Finding]:

@@ -189,8 +189,9 @@ def _findings(
     out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints, meta)]
     if t.trials == 0:
         return out
+    out += findings_torque.spikes(t.spikes, joints)
     if not any(f.severity == "error" for f in out):  # stamps and readings that are wrong tear speeds apart
-        out += found(campaign.jolts, joints)
+        out += [*found(campaign.jolts, joints), *findings_torque.torque_peaks(t.peaks, joints)]
     sign = findings_torque.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
     if robot is not None:
         out += findings_torque.torque_limits(t, joints, robot.torque_limit)

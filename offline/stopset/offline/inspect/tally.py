@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from stopset.offline.inspect.reversals import steps
 from stopset.recording.clock import PAUSE
-from stopset.recording.types import Recording
+from stopset.recording.spikes import peaks
+from stopset.recording.types import Recording, Spike
 from stopset.types import Array
 
 EVEN = 0.02  # relative spread of the period up to which stamps are even
@@ -54,6 +55,8 @@ class SignalSums:
     jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample, between steps that it does
     twice: int = 0  # rows that the reader left out, as written twice
     unread: int = 0  # and as lacking numbers
+    spikes: list[tuple[str, Spike]] = field(default_factory=list)  # trial and torque, for which the reader left a sample out
+    peaks: list[tuple[str, Spike]] = field(default_factory=list)  # and those of one sample that stay
     rounded: float = 0.0  # [s] what stamps were printed to, where that is a good part of the period
     settling: float = 0.0  # [s] at a trial's start during which dq does not follow q yet, at most
     bent: tuple[float, float] = (0.0, 0.0)  # [s] that the reader left out at a trial's ends, at most
@@ -97,6 +100,8 @@ class SignalSums:
         self.samples += len(r.t)
         self.seconds += float(r.t[-1] - r.t[0])
         self.twice, self.unread = self.twice + r.twice, self.unread + r.unread
+        self.spikes += [(r.label, x) for x in r.spikes]
+        self.peaks += [(r.label, x) for x in peaks(r)]
         for name, x in (("range_q", r.q), ("range_dq", r.dq), ("range_tau", r.tau), ("range_temp", r.temp)):
             if x is not None:
                 old = getattr(self, name)

@@ -32,7 +32,7 @@ from stopset.offline.conform.gather import RetainedSums, Sums, sums_of
 from stopset.offline.identify.model_file import Identification, concluded, stopped
 from stopset.offline.identify.pipeline import identified
 from stopset.offline.identify.signals_file import MAGIC, RetainedSignals, load_signals, save_signals
-from stopset.offline.inspect.gate import check_signals
+from stopset.offline.inspect.gate import check_signals, left_out
 from stopset.offline.update import staleness
 from stopset.offline.update.sums_file import load_sums, save_sums
 from stopset.progress import Progress, silent
@@ -165,6 +165,7 @@ def _folded(
         note += "; " + staleness.note(model, retained.sums.figures, later.figures, difference)
     if len(stops) > len(retained.stops):
         note += f"; {len(stops) - len(retained.stops)} stops added to {len(retained.stops)}"
+    note += "".join(f"; {text}" for text in left_out(robot, source()))
     fresh = stopped(replace(fresh, retained=replace(fresh.retained, fitted_files=retained.fitted_files)), stops, progress)
     return replace(fresh, model=_revised(model, fresh.model, f"recordings {names}", note))
 
