@@ -45,6 +45,20 @@ def corner(box: Box, rng: np.random.Generator) -> np.ndarray:
     return np.where(rng.random(box.dim) < 0.5, box.lo, box.hi)
 
 
+def test_the_temperatures_that_friction_is_told_for_are_among_the_assumptions() -> None:
+    """Of every bound: those of the recordings, or that none was recorded."""
+    temp = Box.of(np.full(6, 22.5), np.linspace(30.0, 41.0, 6))
+    warm = replace(MODEL, domain=replace(MODEL.domain, temp=temp))
+    for model, words in (
+        (warm, "drives no colder and no warmer than recorded: [22.5, 30] [22.5, 32.2]"),
+        (MODEL, "no recording tells a temperature"),
+    ):
+        bounds = StopBounds.of(model, ramp=Ramp.stated(6, time=0.5).failing(0.6))
+        for category in ("0", "1", "1 guaranteed", "2"):
+            said = bounds.bound(np.full(6, 0.3), np.full(6, 0.2), category).assumptions  # type: ignore[arg-type]
+            assert sum(words in a for a in said) == 1
+
+
 # ---- brakes that engage close together -----------------------------------------------------------------------------------
 
 

@@ -15,7 +15,7 @@ from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import TUBES, failed_stops
 from stopset.reach.stops.friction import ROUNDING
-from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
+from stopset.reach.stops.ramp import Ramp, drive_limit, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.start import NONE, Extrapolation, Start
 from stopset.reach.stops.tube import OK, Tube
@@ -207,7 +207,7 @@ class StopBounds:
         if early is not None:
             return self._refused(category, early, q)
         extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
-        have = self.model.robot.torque_limit - extra
+        have = drive_limit(self.model) - extra
         refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube, have) + extra)
         if refusal:
             return self._refused(category, refusal, q)
