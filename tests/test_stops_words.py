@@ -59,6 +59,25 @@ def test_the_temperatures_that_friction_is_told_for_are_among_the_assumptions() 
             assert sum(words in a for a in said) == 1
 
 
+@pytest.mark.parametrize("category", ["0", "1", "1 guaranteed", "2"])
+def test_who_can_run_into_an_end_stop_is_told(category: str) -> None:
+    """No joint limit on the way is what a bound rests on; where it does not itself rule that out it says so, of boxes by their corner."""
+    limit, j = MODEL.robot.q_limit[1, 1], MODEL.joints[1]
+    arm_ = replace(MODEL, domain=replace(MODEL.domain, q=Box.symmetric(np.full(6, 2.96))))
+    bounds = StopBounds.of(arm_, ramp=Ramp.stated(6, time=0.3).failing(0.4))
+    q, dq = np.full(6, 0.2), np.zeros(6)
+    q[1], dq[1] = limit - 0.02, 1.2
+
+    def said(v: np.ndarray, box: float = 0.0) -> str:
+        b = bounds.bound(q - box * np.eye(6)[1], v, category, np.full(6, box), np.zeros(6))  # type: ignore[arg-type]
+        assert b.certified
+        return b.why
+
+    assert f"{j} can come to an end stop on the way" in said(dq) and f"{j} can come" in said(dq, 0.03)
+    q[1] = limit - 0.6
+    assert "end stop" not in said(dq) and "end stop" not in said(-dq)
+
+
 # ---- brakes that engage close together -----------------------------------------------------------------------------------
 
 

@@ -30,6 +30,7 @@ from stopset.reach.stops.words import (
     REST,
     UNSEEN,
     early_cut,
+    end_stops,
     no_certificate,
     out_of_budget,
     ramp_assumptions,
@@ -106,7 +107,21 @@ class StopBounds:
             bound = self._failed_ramp(box)
         else:
             bound = self._working_ramp(box, category)
-        return self.marked(bound, beyond)
+        return self.marked(self._near_end_stops(bound, q, more_q), beyond)
+
+    def _near_end_stops(self, bound: StopBound, q: Array, radius: Array) -> StopBound:
+        """The bound, saying which joints may run into the ends of their range, which the arm's range ``q +- radius`` (n,) [rad] and the bound
+        itself tell: no joint limit on the way is an assumption of it."""
+        assert self.setting is not None
+        if bound.forward is None or bound.back is None:
+            return bound
+        noise, limit = self.setting.noise.take(slice(0, self.model.n)), self.model.robot.q_limit
+        off = radius + np.maximum(np.abs(noise.lo), np.abs(noise.hi))
+        reached = (q + off + bound.forward > limit[:, 1]) | (q - off - bound.back < limit[:, 0])
+        if not np.any(reached):
+            return bound
+        said = end_stops([j for j, x in zip(self.model.joints, reached, strict=True) if x])
+        return replace(bound, why="; ".join(x for x in (bound.why, said) if x))
 
     def marked(self, bound: StopBound, beyond: str | None) -> StopBound:
         """The bound, not certified and marked where its payload is one that no recording carried or its state lies ``beyond`` them."""

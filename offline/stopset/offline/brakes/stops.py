@@ -117,7 +117,8 @@ def sheet_held(model: Model, stops: Sequence[Recording], notes: list[str]) -> Mo
     except NotCovered:  # by an effect of the model: there is no bound to leave
         return model
     grown = wide.brakes is not model.brakes
-    notes += [f"{len(stops)} recorded power-off stops were held against the data sheet's brakes: {'some left' if grown else 'none left'} its bound", *said]
+    left = "some left" if grown else "none left"
+    notes += [f"{len(stops)} recorded power-off stops were held against the data sheet's brakes: {left} its bound", *said]
     return wide if grown else model
 
 
