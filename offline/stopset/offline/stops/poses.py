@@ -80,9 +80,9 @@ class Poses:
         rankings = np.linalg.norm(np.cross(axis, arm), axis=1), mass_matrices(chain, pi, q)[:, joint, joint], -sign * load
         chosen = [first]
         for k in range(count - 1):
-            apart = np.min([np.linalg.norm(q - x, axis=1) for x in chosen], axis=0)
-            best = int(np.argmax(np.where(apart > 0.0, rankings[k], -np.inf) if k < len(rankings) else apart))
-            if apart[best] == 0.0:  # there are no others
+            distance = np.min([np.linalg.norm(q - x, axis=1) for x in chosen], axis=0)
+            best = int(np.argmax(np.where(distance > 0.0, rankings[k], -np.inf) if k < len(rankings) else distance))
+            if distance[best] == 0.0:  # there are no others
                 break
             chosen.append(np.array(q[best]))
         return chosen
