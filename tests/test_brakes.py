@@ -171,6 +171,33 @@ def test_recorded_stops_that_a_data_sheet_does_not_hold_widen_it() -> None:
     assert not judge_stop0(with_stops(model, fit), late).outside
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_fewer_stops_than_tell_anything_widen_a_data_sheet_that_does_not_hold_them(count: int) -> None:
+    """Neither brakes nor the readings' noise can be identified from one stop or three; what they leave is not published all the same."""
+    model = arm()
+    late = recorded_stop0(model, count, 11, lambda rng: np.full(6, rng.uniform(0.15, 0.16)))
+    fit = identify_stops(model, late)
+    assert fit.stop0 is None and judge_stop0(model, late).outside  # the test has teeth
+    known = with_stops(model, fit)
+    assert not judge_stop0(known, late).outside
+    assert any("were held against the data sheet's brakes: some left its bound" in x for x in known.notes)
+    # stops that it holds change nothing
+    usual_ones = recorded_stop0(model, count, 13)
+    fit = identify_stops(model, usual_ones)
+    assert fit.model is model
+    assert any("none left its bound" in x for x in fit.notes)
+
+
+def test_controlled_stops_alone_say_nothing_of_drives_whose_power_goes() -> None:
+    """Nor are readings of an arm at rest all that a moving one's err by: without a power-off stop its sets stay the powered arm's."""
+    model = arm()
+    known = with_stops(model, identify_stops(model, recorded_stop1(16, 5)))
+    assert ramp_of(known) is not None and set(known.sets) == set(model.sets)
+    before, after = (setting_of(m) for m in (model, known))
+    assert before is not None and after is not None and np.array_equal(before.start.radius, after.start.radius)
+    assert "the drives give nothing more once power is taken" in after.assumptions
+
+
 def test_a_held_out_stop_that_refutes_its_bound_is_inside_what_is_published() -> None:
     """The guarantee tells that it left; a bound that the user's own recordings refute is not told."""
     model = arm()

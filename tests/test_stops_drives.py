@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Model
+from stopset.effects.base import Fitted
 from stopset.reach.stops import Ramp, StopBounds
-from stopset.reach.stops.compiled import ramp_torque
+from stopset.reach.stops.compiled import CompiledStops, ramp_torque
 from stopset.reach.stops.ramp import ramp_tube
 from stopset.reach.stops.start import Start
 from stopset.robot.rigid import torques
@@ -187,3 +188,31 @@ def test_no_state_of_a_box_with_a_stop_1_asks_more_than_its_drives_have() -> Non
             told += 1
             assert np.all(ramps.sampled(Start(q, dq, *radii), 3000, rng) <= limit)
     assert told >= 4
+
+
+def test_a_drive_that_gives_less_than_it_tells_has_less_for_a_ramp() -> None:
+    """Where the recorded torque is half as much again as the true one, so is the limit that the data sheet tells: the same ramp is refused,
+    by the numbers of a drive that much weaker, in text and in the core. One that gives more than it tells gains nothing."""
+    plain, ramp, j = ARMS["PRBT-like"], Ramp.stated(6, time=0.3), 1
+    q, dq = np.array([0.2, 0.8, 0.4, -0.3, 0.5, 0.1]), np.array([0.3, 1.0, 0.4, 0.2, 0.5, 0.6])
+
+    def limited(limit: float, e: float | None = None, std: float = 0.0) -> Model:
+        torque_limit = plain.robot.torque_limit.copy()
+        torque_limit[j] = limit
+        gain = () if e is None else (Fitted("torque_gain", plain.joints[j], {"e": e}, {"e": std}),)
+        return replace(plain, robot=replace(plain.robot, torque_limit=torque_limit), effects=(*plain.effects, *gain))
+
+    def asked(model: Model) -> tuple[str, bool]:
+        bounds = StopBounds.of(model, ramp=ramp, fast=True)
+        assert bounds.setting is not None
+        said = bounds.bound(q, dq, "2").why
+        return said, CompiledStops.of(bounds.setting, ramp).bound(q, dq, "2") is not None
+
+    need = float(asked(limited(1.0))[0].split("asks ")[1].split(" N m")[0])
+    assert asked(limited(1.2 * need)) == ("", True)
+    weaker = asked(limited(1.2 * need / 1.5))
+    assert "not credible" in weaker[0] and not weaker[1]
+    assert asked(limited(1.2 * need, 0.5)) == weaker == asked(limited(1.2 * need, 0.44, std=0.02))
+    assert asked(limited(1.2 * need, -0.3)) == ("", True) and not asked(limited(0.9 * need, -0.3))[1]
+    told = StopBounds.of(limited(1.2 * need, 0.5)).setting
+    assert told is not None and any("less than its limit for a ramp: torque_gain" in a for a in told.assumptions)

@@ -16,11 +16,12 @@ from stop_published import failed_ramp, places, power_off, working_ramp
 from stop_sampling import ANGLE_ERROR, DT
 from stopset.artifact import Model, save_model
 from stopset.cli.main import main
+from stopset.errors import NotCovered
 from stopset.offline.stops.directions import hull
 from stopset.offline.stops.poses import SLACK, Poses
 from stopset.offline.stops.separation import protective_separation
 from stopset.offline.stops.shown import terms
-from stopset.offline.stops.table import ONE_POSE, Question, StopRow, holding, prepared, stop_table
+from stopset.offline.stops.table import ONE_POSE, Question, StopRow, few_poses, holding, prepared, stop_table
 from stopset.reach.stops import Category, Ramp, StopBounds
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -95,6 +96,36 @@ def test_a_table_says_that_its_rows_are_of_one_pose_each(model: Model) -> None:
     near = poses.q[(np.abs(poses.extension - 0.33) <= SLACK) & poses.seen][:60]
     assert row.tcp_m is not None and ONE_POSE in table.assumptions
     assert max(bounds.bound(q, dq).tcp or 0.0 for q in near) > 1.3 * row.tcp_m, "else the sentence is not needed"
+
+
+def test_rows_of_several_poses_are_the_worst_of_each_number(model: Model) -> None:
+    """From none of them, nor from sixty others near the extension by much, does the arm go farther; the pose told is the one the tool goes
+    farthest from."""
+    one, few = (stop_table(model, Question(RAMP, ("0",), payload=KG, poses=k)) for k in (1, 4))
+    bounds, poses, dq = (
+        prepared(model, KG, Question(RAMP, payload=KG)),
+        Poses.of(model.robot, model.robot.tip, model.domain.q),
+        1.26 * np.eye(6)[1],
+    )
+    for a, b in zip(one.rows, few.rows, strict=True):
+        assert (a.joint, a.speed_percent, a.extension_percent) == (b.joint, b.speed_percent, b.extension_percent)
+        assert a.time_s is not None and b.time_s is not None and b.time_s >= a.time_s
+        assert (b.angle_rad or 0.0) >= (a.angle_rad or 0.0) > 0.0 and (b.tcp_m or 0.0) >= (a.tcp_m or 0.0) > 0.0
+    row = next(r for r in few.rows if r.joint == "arm_2_joint" and (r.speed_percent, r.extension_percent) == (100.0, 33.0))
+    assert bounds.setting is not None and ONE_POSE not in few.assumptions and few_poses(4) in few.assumptions
+    said, tool = np.array([row.time_s, row.angle_rad, row.tcp_m]), list[float]()
+    for q in poses.worst_few(1, 0.33, bounds.setting.plant.pi, 4):
+        for b in (bounds.bound(q, s * dq) for s in (1.0, -1.0)):
+            assert b.time is not None and b.angle is not None and b.tcp is not None
+            assert np.all(np.array([b.time.max(), b.angle[1], b.tcp]) <= said)
+        tool.append(max(bounds.bound(q, s * dq).tcp or 0.0 for s in (1.0, -1.0)))
+        if tool[-1] == max(tool):
+            farthest_from = q
+    assert len(tool) == 4 and row.pose == tuple(farthest_from)
+    near = poses.q[(np.abs(poses.extension - 0.33) <= SLACK) & poses.seen][:60]
+    assert row.tcp_m is not None and max(bounds.bound(q, dq).tcp or 0.0 for q in near) < 1.1 * row.tcp_m
+    with pytest.raises(NotCovered, match="worst of 0 poses; expected 1 to 100"):
+        stop_table(model, Question(RAMP, ("0",), poses=0))
 
 
 def test_a_hull_holds_each_of_its_stops(bounds: StopBounds) -> None:

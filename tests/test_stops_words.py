@@ -45,6 +45,39 @@ def corner(box: Box, rng: np.random.Generator) -> np.ndarray:
     return np.where(rng.random(box.dim) < 0.5, box.lo, box.hi)
 
 
+def test_the_temperatures_that_friction_is_told_for_are_among_the_assumptions() -> None:
+    """Of every bound: those of the recordings, or that none was recorded."""
+    temp = Box.of(np.full(6, 22.5), np.linspace(30.0, 41.0, 6))
+    warm = replace(MODEL, domain=replace(MODEL.domain, temp=temp))
+    for model, words in (
+        (warm, "drives no colder and no warmer than recorded: [22.5, 30] [22.5, 32.2]"),
+        (MODEL, "no recording tells a temperature"),
+    ):
+        bounds = StopBounds.of(model, ramp=Ramp.stated(6, time=0.5).failing(0.6))
+        for category in ("0", "1", "1 guaranteed", "2"):
+            said = bounds.bound(np.full(6, 0.3), np.full(6, 0.2), category).assumptions  # type: ignore[arg-type]
+            assert sum(words in a for a in said) == 1
+
+
+@pytest.mark.parametrize("category", ["0", "1", "1 guaranteed", "2"])
+def test_who_can_run_into_an_end_stop_is_told(category: str) -> None:
+    """No joint limit on the way is what a bound rests on; where it does not itself rule that out it says so, of boxes by their corner."""
+    limit, j = MODEL.robot.q_limit[1, 1], MODEL.joints[1]
+    arm_ = replace(MODEL, domain=replace(MODEL.domain, q=Box.symmetric(np.full(6, 2.96))))
+    bounds = StopBounds.of(arm_, ramp=Ramp.stated(6, time=0.3).failing(0.4))
+    q, dq = np.full(6, 0.2), np.zeros(6)
+    q[1], dq[1] = limit - 0.02, 1.2
+
+    def said(v: np.ndarray, box: float = 0.0) -> str:
+        b = bounds.bound(q - box * np.eye(6)[1], v, category, np.full(6, box), np.zeros(6))  # type: ignore[arg-type]
+        assert b.certified
+        return b.why
+
+    assert f"{j} can come to an end stop on the way" in said(dq) and f"{j} can come" in said(dq, 0.03)
+    q[1] = limit - 0.6
+    assert "end stop" not in said(dq) and "end stop" not in said(-dq)
+
+
 # ---- brakes that engage close together -----------------------------------------------------------------------------------
 
 

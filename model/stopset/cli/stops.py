@@ -15,6 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from stopset.cli.common import add_output_options
 
     parser.add_argument("model", help="model file from `stopset identify`")
+    parser.add_argument(
+        "--poses", type=int, metavar="N", help="rows of the table: the worst of N poses near their extension; default 1"
+    )
     parser.add_argument("--at", metavar="Q1,Q2,..", help="one pose [rad] instead of the table, all axes at once")
     parser.add_argument("--speed", metavar="V1,V2,..", help="with --at: speeds [rad/s], or one percentage like 100%%")
     parser.add_argument(
@@ -119,7 +122,12 @@ def _answer(args: argparse.Namespace, model: Any) -> tuple[list[Any], Sequence[s
     com = _numbers(args.payload_at, 3, "--payload-at") if args.payload_at else None
     categories = tuple(c for c in CATEGORIES if not args.category or c in args.category)
     beyond = Extrapolation(args.extrapolate_payload, args.extrapolate_state)
-    question = Question(ramp, categories, args.payload, com, args.rated_payload, beyond)
+    if args.poses is not None and (args.path is not None or args.at is not None):
+        raise NotCovered(
+            "--poses is how many poses a row of the table is the worst of; with --at or --path there is one: leave it out"
+        )
+    poses = 1 if args.poses is None else args.poses
+    question = Question(ramp, categories, args.payload, com, args.rated_payload, beyond, poses)
     if args.path is not None:
         if args.at is not None or args.speed is not None or args.path_rate is None:
             raise NotCovered("--path needs --path-rate, the rows passed per second at the stop request, and no --at nor --speed")

@@ -15,7 +15,7 @@ from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import TUBES, failed_stops
 from stopset.reach.stops.friction import ROUNDING
-from stopset.reach.stops.ramp import Ramp, infeasible, ramp_of, ramp_time, ramp_tube
+from stopset.reach.stops.ramp import Ramp, drive_limit, infeasible, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.start import NONE, Extrapolation, Start
 from stopset.reach.stops.tube import OK, Tube
@@ -30,6 +30,7 @@ from stopset.reach.stops.words import (
     REST,
     UNSEEN,
     early_cut,
+    end_stops,
     no_certificate,
     out_of_budget,
     ramp_assumptions,
@@ -106,7 +107,21 @@ class StopBounds:
             bound = self._failed_ramp(box)
         else:
             bound = self._working_ramp(box, category)
-        return self.marked(bound, beyond)
+        return self.marked(self._near_end_stops(bound, q, more_q), beyond)
+
+    def _near_end_stops(self, bound: StopBound, q: Array, radius: Array) -> StopBound:
+        """The bound, saying which joints may run into the ends of their range, which the arm's range ``q +- radius`` (n,) [rad] and the bound
+        itself tell: no joint limit on the way is an assumption of it."""
+        assert self.setting is not None
+        if bound.forward is None or bound.back is None:
+            return bound
+        noise, limit = self.setting.noise.take(slice(0, self.model.n)), self.model.robot.q_limit
+        off = radius + np.maximum(np.abs(noise.lo), np.abs(noise.hi))
+        reached = (q + off + bound.forward > limit[:, 1]) | (q - off - bound.back < limit[:, 0])
+        if not np.any(reached):
+            return bound
+        said = end_stops([j for j, x in zip(self.model.joints, reached, strict=True) if x])
+        return replace(bound, why="; ".join(x for x in (bound.why, said) if x))
 
     def marked(self, bound: StopBound, beyond: str | None) -> StopBound:
         """The bound, not certified and marked where its payload is one that no recording carried or its state lies ``beyond`` them."""
@@ -207,7 +222,7 @@ class StopBounds:
         if early is not None:
             return self._refused(category, early, q)
         extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
-        have = self.model.robot.torque_limit - extra
+        have = drive_limit(self.model) - extra
         refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube, have) + extra)
         if refusal:
             return self._refused(category, refusal, q)

@@ -257,6 +257,9 @@ def described(model: Model) -> tuple[str, ...]:
         out.append(f"with and without, as it may be the drive's own: {', '.join(of['arm or drive'])}")
     if of["input"]:
         out.append(f"only in the motors' torque, of which there is none with the power off: {', '.join(of['input'])}")
+    scaled = [f.label for f in model.effects if effect_of(f).enters == "input_gain"]
+    if scaled:
+        out.append(f"a drive that gives less than it tells has that much less than its limit for a ramp: {', '.join(scaled)}")
     if of["reading"]:
         out.append(f"angles are the true ones, the recorded ones set right by {', '.join(of['reading'])}")
     return tuple(out)

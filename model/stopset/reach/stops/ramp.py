@@ -16,7 +16,9 @@ from typing import Any, Literal
 import numpy as np
 
 from stopset.artifact import Model
+from stopset.effects.bound import parameter
 from stopset.errors import NotCovered
+from stopset.reach.stops.payload import effect_of
 from stopset.reach.stops.tube import Tube
 from stopset.sets import Box
 from stopset.types import Array
@@ -197,9 +199,21 @@ def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array | None:
     return ramp.control.hi + (ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo) + ramp.after
 
 
+def drive_limit(model: Model) -> Array:
+    """(n,) [N m] what a drive surely can give. One of which an effect says that it gives less than it tells, tells its limit no better."""
+    out = np.array(model.robot.torque_limit, float)
+    for f in model.effects:
+        effect = effect_of(f)
+        if effect.enters == "input_gain":
+            most = 1.0 + sum(float(parameter([f], t).hi[0]) for t in effect.terms)
+            for i in effect.acts_on(f.joint, model.joints):
+                out[i] /= max(most, 1.0)
+    return out
+
+
 def infeasible(model: Model, asked: Array) -> str | None:
     """A sentence if a drive has not the torque (n,) [N m] that is ``asked`` of it, None if all have."""
-    limit = model.robot.torque_limit
+    limit = drive_limit(model)
     worst = int(np.argmin(limit - asked))
     if asked[worst] <= limit[worst]:
         return None

@@ -188,6 +188,7 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
         f"dry friction {_range(friction.dry)} N m and viscous friction {_range(friction.viscous)} N m s/rad, "
         f"from the identified effects +- {SIGMAS:g} standard deviations +- {FRICTION_TOLERANCE:.0%}; none where unknown"
     )
+    yield _temperature(model)
     yield f"any further torque within U of regime '{regime}': {_range(model.sets[regime].U)} N m, free in time"
     lo, hi = s.payload
     yield f"payload {lo:g} to {hi:g} kg as a point at {np.round(s.payload_com, 4).tolist()} m in the last link"
@@ -210,6 +211,14 @@ def _assumptions(s: Setting, brakes: Brakes, regime: str, mass_uncertainty: floa
         yield "the recorded torque in the same N m as the brakes': where its scale is wrong by some percent, so are inertias beside the brakes"
     if s.delay_spread is not None:
         yield _delay_spread(s.delay_spread, s.lag)
+
+
+def _temperature(model: Model) -> str:
+    """At which temperatures the friction of a stop is that of the recordings."""
+    temp = model.domain.temp
+    if temp is None:
+        return "drives as warm as they were recorded, however warm that was: no recording tells a temperature"
+    return f"drives no colder and no warmer than recorded: {_range(temp)} degC"
 
 
 def _inertia(model: Model) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stopset.reach.stops.ramp import Ramp
@@ -34,6 +36,11 @@ def out_of_budget(loose: int, boxes: int, tried: int) -> str:
         f"fall-back: {loose} of {boxes} boxes of a failed ramp's states were not closed by the {tried} tubes of joint speeds that there "
         "is a budget for, the kinetic energy bounds these; proved, but looser"
     )
+
+
+def end_stops(joints: Sequence[str]) -> str:
+    """That a stop may lead ``joints`` to the ends of their range."""
+    return f"{', '.join(joints)} can come to an end stop on the way: what the blow does to times and other joints is not covered"
 
 
 def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
 from stopset.offline.nominal.preprocess import Preprocessing
-from stopset.offline.nominal.rotors import inertia_std, rotors_shown, unseen_rotors
+from stopset.offline.nominal.rotors import inertia_std, rotors_shown, unseen_rotors, with_scales
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import mass_matrix
@@ -169,7 +169,8 @@ def _regressed(
     return NominalPart(
         arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, of_regression(cad, nominal, found.sample),
         limited=nominal.limited, taken_out=nominal.taken_out(), friction_covariance=nominal.friction_covariance(),
-        inertia_std=inertia_std(cad, nominal.covariance, nominal.span), rotors_shown=seen,
+        inertia_std=with_scales(inertia_std(cad, nominal.covariance, nominal.span), arm, nominal.rotor, known, nominal.span),
+        rotors_shown=seen,
     )  # fmt: skip
 
 

@@ -73,8 +73,7 @@ def identify_stops(model: Model, recordings: Iterable[Recording]) -> StopFit:
             notes.append(
                 f"{count} recorded stops to identify from, too few of them until the arm rests; expected at least {LEAST}: record more, longer"
             )
-        return StopFit(model, None, None, None, None, tuple(notes))
-    model = replace(model, sets={**model.sets, "stop0": replace(model.powered, X0=noise, V=noise, active=())})
+        return StopFit(sheet_held(model, stops["stop0"], notes), None, None, None, None, tuple(notes))
     model, stop0 = _power_off(model, stops["stop0"], noise, notes) if stops["stop0"] else (model, None)
     requests = [r for train, _ in parts.values() for r in train]
     ramp, stop1 = _controlled(stops["stop1"], requests, noise, notes) if stops["stop1"] else (None, None)
@@ -83,18 +82,44 @@ def identify_stops(model: Model, recordings: Iterable[Recording]) -> StopFit:
 
 def _power_off(model: Model, stops: Sequence[Recording], noise: Box, notes: list[str]) -> tuple[Model, Guarantee | None]:
     train, held = divide(stops)
+    before, model = model, _regime(model, noise)
     try:
         known = fit_brakes(shown(model), train, noise, notes) if _enough(train, "stop0", notes) else None
     except NotCovered as e:
         notes.append(f"no brakes from {len(train)} recorded stops: {e}")
-        return model, None
-    if known is None:  # a data sheet's brakes hold what was recorded, too
-        return model if model.brakes is None else widened(model, stops, notes), None
+        return before, None
+    if known is None:
+        return sheet_held(before, stops, notes), None
     regular, few = (judge_stop0(known, part) for part in _by_suite_size(held, stops))
     line = guarantee_line("STOP 0", regular, few, len(train))
     if regular.outside or few.outside:
         known, line = fit_brakes(shown(model), stops, noise, notes) or widened(known, stops, notes), _of_all(line, stops)
     return known, line
+
+
+def _regime(model: Model, noise: Box) -> Model:
+    """With sets of the regime STOP 0 to begin with: of the powered arm, the drives giving nothing, and the ``noise`` (2n,) of readings."""
+    return replace(model, sets={**model.sets, "stop0": replace(model.powered, X0=noise, V=noise, active=(), zonotope=None)})
+
+
+def sheet_held(model: Model, stops: Sequence[Recording], notes: list[str]) -> Model:
+    """``model`` with a data sheet's brakes, which hold what was recorded, too, however little that is: torques and sets grow until every one
+    of the power-off ``stops`` is inside its bound. Readings err as those of the powered arm, or as those at the stops' ends if that is more.
+
+    Raises `RecordingError` where no growth encloses them.
+    """
+    if not stops or model.brakes is None:
+        return model
+    V, at_rest, said = model.powered.V, rest_noise(stops, model.n, least=1), list[str]()
+    noise = np.max([np.abs(V.lo), np.abs(V.hi), *([] if at_rest is None else [at_rest.radius])], axis=0)
+    try:
+        wide = widened(_regime(model, Box.symmetric(noise)), stops, said)
+    except NotCovered:  # by an effect of the model: there is no bound to leave
+        return model
+    grown = wide.brakes is not model.brakes
+    left = "some left" if grown else "none left"
+    notes += [f"{len(stops)} recorded power-off stops were held against the data sheet's brakes: {left} its bound", *said]
+    return wide if grown else model
 
 
 def _of_all(line: Guarantee, stops: Sequence[Recording]) -> Guarantee:
@@ -154,8 +179,8 @@ def _by_suite_size(held: Sequence[Recording], stops: Sequence[Recording]) -> tup
     return [r for r in held if r.suite_key not in few], [r for r in held if r.suite_key in few]
 
 
-def rest_noise(stops: Sequence[Recording], n: int) -> Box | None:
-    """Largest deviations of angle and speed while the arm rests at the end of its stops, half as much again."""
+def rest_noise(stops: Sequence[Recording], n: int, least: int = LEAST) -> Box | None:
+    """Largest deviations of angle and speed while the arm rests at the end of its stops, half as much again; None of fewer than ``least``."""
     angle, speed = np.zeros(n), np.zeros(n)
     seen = 0
     for r in stops:
@@ -165,9 +190,9 @@ def rest_noise(stops: Sequence[Recording], n: int) -> Box | None:
         angle = np.maximum(angle, np.abs(r.q[tail] - np.mean(r.q[tail], axis=0)).max(axis=0))
         speed = np.maximum(speed, np.abs(r.dq[tail]).max(axis=0))
         seen += 1
-    if seen < LEAST:
+    if seen < least:
         return None
     return Box.symmetric(np.concatenate([1.5 * np.maximum(angle, 1e-5), 1.5 * np.maximum(speed, 1e-4)]))
 
 
-__all__ = ["StopFit", "divide", "identify_stops", "rest_noise", "with_stops"]
+__all__ = ["StopFit", "divide", "identify_stops", "rest_noise", "sheet_held", "with_stops"]

@@ -8,14 +8,18 @@ stops and not into the torque, and without one nothing is known of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.effects.base import Fitted
 from stopset.effects.bound import SIGMAS
+from stopset.effects.registry import get
 from stopset.offline.nominal.fit import Fit
 from stopset.offline.nominal.prior import Prior
 from stopset.robot import Robot
-from stopset.robot.rigid import regressors
+from stopset.robot.rigid import mass_matrices, regressors
 from stopset.types import Array
 
 POSES = 100
@@ -56,9 +60,7 @@ def rotors_shown(theta: Array, covariance: Array, n: int) -> bool:
 
 def inertia_std(robot: Robot, covariance: Array, span: Array) -> Array:
     """(n,) [kg m^2] standard error of ``M_ii + J_rotor,i``, the largest over poses within the recorded angles ``span`` (n, 2)."""
-    n = robot.n
-    lo, hi = (np.where(np.isfinite(x), x, 0.0) for x in span.T)
-    q = np.random.default_rng(0).uniform(lo, hi, (POSES, n))
+    n, q = robot.n, _poses(span)
     still = np.zeros_like(q)
     gravity = regressors(robot.chain, q, still, still)
     out = np.empty(n)
@@ -70,6 +72,26 @@ def inertia_std(robot: Robot, covariance: Array, span: Array) -> Array:
         X = np.column_stack([row, np.ones(POSES)])
         out[j] = np.sqrt(np.einsum("ka,ab,kb->k", X, covariance[np.ix_(at, at)], X).clip(min=0.0).max())
     return out
+
+
+def with_scales(std: Array, robot: Robot, rotor: Array, effects: Sequence[Fitted], span: Array) -> Array:
+    """(n,) [kg m^2] `inertia_std` with what the scale of a drive's torque, an effect of ``effects``, is uncertain by itself: as much of the
+    inertia about its axis, as identified (``robot``, ``rotor``)."""
+    out, q = np.array(std, float), _poses(span)
+    for f in effects:
+        effect = get(f.effect)
+        if effect.enters == "input_gain":
+            e = effect.terms[0].symbol
+            for j in effect.acts_on(f.joint, robot.joints):
+                inertia = rotor[j] + mass_matrices(robot.chain, robot.pi, q)[:, j, j].max()
+                out[j] = np.hypot(out[j], f.std.get(e, 0.0) / (1.0 + f.values[e]) * inertia)
+    return out
+
+
+def _poses(span: Array) -> Array:
+    """(POSES, n) [rad] drawn within the recorded angles ``span`` (n, 2)."""
+    lo, hi = (np.where(np.isfinite(x), x, 0.0) for x in span.T)
+    return np.random.default_rng(0).uniform(lo, hi, (POSES, len(span)))
 
 
 def unseen_rotors(robot: Robot) -> str:

@@ -64,11 +64,12 @@ def hull(first: StopBound, found: Sequence[StopBound]) -> StopBound:
     left = [b.fallback for b in found]
     known = [x for x in left if x is not None]
     far = max(found, key=lambda b: b.tcp or 0.0)
+    said = dict.fromkeys(part for b in found for part in b.why.split("; ") if part)
     return replace(
         first, **largest, tcp_box=np.stack([box[:, :, 0].min(axis=0), box[:, :, 1].max(axis=0)], axis=1),
         holding_margin=np.min([np.asarray(b.holding_margin) for b in found], axis=0), capsules=far.capsules, motion=None,
         fallback=(max(x[0] for x in known), max(x[1] for x in known)) if len(known) == len(left) else None,
-        layer=max((b.layer for b in found), key=LAYERS.index), why="; ".join(dict.fromkeys(b.why for b in found if b.why)),
+        layer=max((b.layer for b in found), key=LAYERS.index), why="; ".join(said),
         assumptions=tuple(dict.fromkeys(a for b in found for a in b.assumptions)),
         here=tuple(dict.fromkeys(a for b in found for a in b.here)), certified=all(b.certified for b in found),
         extrapolated="; ".join(dict.fromkeys(b.extrapolated for b in found if b.extrapolated)),

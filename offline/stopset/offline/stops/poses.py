@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.robot import Robot
-from stopset.robot.rigid import Chain, gravity_torques, link_frames
+from stopset.robot.rigid import Chain, gravity_torques, link_frames, mass_matrices
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -63,15 +63,38 @@ class Poses:
 
         Of those that recordings hold, where there are any near the extension.
         """
+        near = self._near(extension)
+        load = np.abs(gravity_torques(self.robot.chain, pi, self.q[near])[:, joint])
+        # where gravity does not load the axis at all (a vertical one) the longest lever counts
+        return np.array(self.q[near[int(np.argmax(load + 1e-3 * self.extension[near]))]])
+
+    def worst_few(self, joint: int, extension: float, pi: Array, count: int) -> list[Array]:
+        """`worst_for` and up to ``count - 1`` other poses near the extension: that in which the tool is farthest from the axis of ``joint``,
+        that of most inertia about it, that which gravity loads most the other way, then each time the one farthest from all before."""
+        first, chain = self.worst_for(joint, extension, pi), self.robot.chain
+        q = self.q[self._near(extension)]
+        R, o = link_frames(chain, q)
+        axis, arm = R[:, joint] @ chain.axis[joint], o[:, -1] + R[:, -1] @ self.tip - o[:, joint]
+        load = gravity_torques(chain, pi, q)[:, joint]
+        sign = np.sign(gravity_torques(chain, pi, first[None])[0, joint])
+        rankings = np.linalg.norm(np.cross(axis, arm), axis=1), mass_matrices(chain, pi, q)[:, joint, joint], -sign * load
+        chosen = [first]
+        for k in range(count - 1):
+            distance = np.min([np.linalg.norm(q - x, axis=1) for x in chosen], axis=0)
+            best = int(np.argmax(np.where(distance > 0.0, rankings[k], -np.inf) if k < len(rankings) else distance))
+            if distance[best] == 0.0:  # there are no others
+                break
+            chosen.append(np.array(q[best]))
+        return chosen
+
+    def _near(self, extension: float) -> NDArray[np.intp]:
+        """The numbers of the poses near an extension, of those that recordings hold where there are any."""
         near = np.abs(self.extension - extension) <= SLACK
         if np.any(near & self.seen):
             near &= self.seen
         if not np.any(near):
             near = np.abs(self.extension - extension) <= np.abs(self.extension - extension).min() + SLACK
-        candidates = self.q[near]
-        load = np.abs(gravity_torques(self.robot.chain, pi, candidates)[:, joint])
-        # where gravity does not load the axis at all (a vertical one) the longest lever counts
-        return np.array(candidates[int(np.argmax(load + 1e-3 * self.extension[near]))])
+        return np.flatnonzero(near)
 
     def extension_of(self, q: Array) -> float:
         """Share of the full reach of one pose."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.errors import NotCovered
-from stopset.offline.stops.directions import in_every_direction
+from stopset.offline.stops.directions import hull, in_every_direction
 from stopset.offline.stops.poses import Poses
 from stopset.progress import Progress, counted, silent
 from stopset.reach.stops import CATEGORIES, Category, Ramp, StopBound, StopBounds
@@ -30,8 +30,9 @@ SHARES = (33, 66, 100)
 PIECES = 64
 ONE_POSE = (
     "each row is of one pose, among those near its extension the one where gravity loads its axis most; from another pose of the same "
-    "extension the arm may go farther: ask for it with --at"
+    "extension the arm may go farther: ask for it with --at, or for the worst of several with --poses"
 )
+MOST_POSES = 100
 LIGHTEST = 1e-3  # [kg] of a rated payload
 LOAD_TOLERANCE = 0.02  # of the largest payload: how well a stated payload is known
 
@@ -93,6 +94,7 @@ class Question:
     extrapolate: Extrapolation = (
         NONE  # what beyond the domain is computed and marked; else payloads are refused, states not covered
     )
+    poses: int = 1  # near each extension, of which a row is the worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,13 +178,33 @@ class StopCase(NamedTuple):
     group: tuple[int, ...]
 
 
-Worst = tuple[
+Asked = tuple[
     Array, list[list[tuple[StopBound, Array]]]
 ]  # a pose, and for each share of the speed what `in_every_direction` says
 
 
+def few_poses(count: int) -> str:
+    """What rows of several poses are."""
+    return (
+        f"each row is the worst of {count} poses near its extension, each of its numbers for itself: that in which gravity loads its axis most, "
+        "those with the longest lever and the most inertia about it, others far from these; from yet another pose the arm may go farther: ask for "
+        "it with --at"
+    )
+
+
+def worst_pose(found: Sequence[tuple[Array, StopBound, Array]]) -> tuple[Array, StopBound, Array]:
+    """Of poses with their bounds and speeds the one from which the tool goes farthest and what links sweep from there, with the largest of
+    all numbers; without any where one has none."""
+    q, first, dq = max(found, key=lambda x: np.inf if x[1].tcp is None else x[1].tcp)
+    return q, replace(hull(first, [b for _, b, _ in found]), capsules=first.capsules) if len(found) > 1 else first, dq
+
+
 def stop_table(model: Model, question: Question, progress: Progress = silent) -> Table:
-    """The whole table; ``progress`` is given how far it is."""
+    """The whole table; ``progress`` is given how far it is. Raises `NotCovered` for what no table can be asked."""
+    if not 1 <= question.poses <= MOST_POSES:
+        raise NotCovered(
+            f"rows of the worst of {question.poses} poses; expected 1 to {MOST_POSES}: say near how many of each extension the arm is stopped"
+        )
     tip = model.robot.tip if question.payload_com is None else question.payload_com
     poses = Poses.of(model.robot, tip, model.domain.q)
     speed = top_speed(model)
@@ -199,18 +221,23 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
     ready = {kg: replace(prepared(model, kg, question), tubes=TABLE_TUBES) for _, kg in loads(model, question)}
     outside: set[str] = set()
 
-    def worst(case: StopCase) -> Worst:
-        """The pose, and for each share of the speed what `in_every_direction` says."""
-        bounds, group = ready[case.kg], case.group
-        pi = bounds.setting.plant.pi if bounds.setting is not None else model.robot.pi
-        q = poses.worst_for(group[-1] if len(group) == 1 else group[1 % len(group)], case.extension / 100.0, pi)
-        return q, [in_every_direction(bounds, q, group, speed * share / 100.0, question.categories) for share in SHARES]
+    def tried(case: StopCase) -> list[Array]:
+        setting, group = ready[case.kg].setting, case.group
+        pi = setting.plant.pi if setting is not None else model.robot.pi
+        joint = group[-1] if len(group) == 1 else group[1 % len(group)]
+        return poses.worst_few(joint, case.extension / 100.0, pi, question.poses)
 
-    for case in counted(cases, len(cases), "stop bounds", progress):
-        q, found = worst(case)
-        outside |= {model.joints[j] for j in np.flatnonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))}
-        for share, bounds in zip(SHARES, found, strict=True):
-            for bound, dq in bounds:
+    asked = [(case, q) for case in cases for q in tried(case)]
+    found: dict[StopCase, list[Asked]] = {}
+    for case, q in counted(asked, len(asked), "stop bounds", progress):
+        bounds = [in_every_direction(ready[case.kg], q, case.group, speed * s / 100.0, question.categories) for s in SHARES]
+        found.setdefault(case, []).append((q, bounds))
+    for case, of_poses in found.items():
+        for q, _ in of_poses:
+            outside |= {model.joints[j] for j in np.flatnonzero((q < model.domain.q.lo) | (q > model.domain.q.hi))}
+        for k, share in enumerate(SHARES):
+            for c in range(len(question.categories)):
+                q, bound, dq = worst_pose([(q, *bounds[k][c]) for q, bounds in of_poses])
                 rows.append(_row(model, bound, case.group, q, dq, Shares(share, case.percent, case.kg, case.extension)))
                 stated = tuple(a for a in bound.assumptions if a not in bound.here)
                 assumptions += tuple(a for a in stated if a not in assumptions)
@@ -218,7 +245,7 @@ def stop_table(model: Model, question: Question, progress: Progress = silent) ->
     rows.sort(key=lambda r: (order[r.category], r.joint, r.payload_percent, r.extension_percent, r.speed_percent))
     limits = ", ".join(f"{j} {v:.3g}" for j, v in zip(model.joints, speed, strict=True))
     assumptions += (f"100 % speed is, in rad/s, the smaller of data sheet and identified domain: {limits}",)
-    assumptions += (ONE_POSE,)
+    assumptions += (ONE_POSE if question.poses == 1 else few_poses(question.poses),)
     if model.domain.payload[1] <= 0 and question.rated is None and question.payload is None:
         assumptions += (
             "no recording carried a payload, so every row is without; --rated-payload KG --extrapolate-payload computes 33/66/100 % of it",
