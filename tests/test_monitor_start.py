@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -119,6 +120,26 @@ def test_a_process_that_hangs_is_ended_and_begun_anew(tmp_path: Path, monkeypatc
         x = x + 0.7  # where nothing that is kept holds
         assert wait(lambda: bounded() and desk.restarts >= 1, 60.0)
         assert desk._process is not begun.process
+    finally:
+        desk.close()
+
+
+def test_whatever_it_takes_to_begin_it_anew_the_loop_does_not_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It took some 70 ms of silence, longer than data are valid for."""
+    model, threads = save_model(known_model(), tmp_path / "m.model.json"), []
+    begun, still, begin = Spawned.bounding_stops(), np.zeros(6), Spawned.bounding_stops
+    desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
+
+    def slow() -> Spawned:
+        threads.append(threading.get_ident())
+        return begin()
+
+    try:
+        desk.offer(0.0, still, still)
+        monkeypatch.setattr(Spawned, "bounding_stops", staticmethod(slow))
+        begun.process.kill()
+        assert wait(lambda: desk.offer(time.time(), still, still) or (desk._ready and desk.restarts == 1))
+        assert threads and threading.get_ident() not in threads
     finally:
         desk.close()
 
