@@ -168,6 +168,37 @@ def test_a_process_nobody_assigns_ends_with_who_began_it() -> None:
     assert begun.process.exitcode == 0
 
 
+SHORT = """
+import os, sys
+import numpy as np
+from stopset.monitor.config import Stops
+from stopset.monitor.spawned import Spawned
+
+begun = Spawned.bounding_stops(copied=sys.argv[2] == "copied")
+if sys.argv[3] == "assigned":
+    begun.assign(sys.argv[1], "", None, Stops(("0",)), ("0",))
+print(begun.process.pid, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes of Linux")
+@pytest.mark.parametrize("how", ["copied", "begun"])
+@pytest.mark.parametrize("what", ["assigned", "not yet"])
+def test_a_process_ends_with_a_monitor_that_lived_for_no_second(tmp_path: Path, how: str, what: str) -> None:
+    """Killed that early a monitor left its copy behind, for ever: it held the pipe's other end too, and took who adopted it for who began it."""
+    save_model(known_model(), tmp_path / "m.model.json")
+    words = [sys.executable, "-c", SHORT, str(tmp_path / "m.model.json"), how, what]
+    with subprocess.Popen(words, env=environment(), stdout=subprocess.PIPE, text=True) as short:
+        assert short.stdout is not None
+        pid = int(short.stdout.readline())
+        place = Path(f"/proc/{pid}/stat")
+        ended = wait(lambda: not place.exists() or place.read_text().rpartition(")")[2].split()[0] == "Z", 10.0)
+        if not ended:
+            os.kill(pid, signal.SIGKILL)
+    assert ended
+
+
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core is all there is")
 def test_it_goes_to_the_cores_that_the_loop_is_given() -> None:
     all_cores, begun = os.sched_getaffinity(0), Spawned.bounding_stops()
