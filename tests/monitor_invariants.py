@@ -65,13 +65,10 @@ def messages_are_numbered(world: World) -> Iterator[str]:
 
 def the_latch_is_never_lost(world: World) -> Iterator[str]:
     latched, cleared = False, 0
-    saved_all = world.faults.disk_error == 0.0
     for a, t in pairwise(world.published):
         latched |= bool(a.m["flags"] & Flag.VIOLATION_LATCHED)
         if latched and not t.m["flags"] & Flag.VIOLATION_LATCHED and t.resets > cleared:
             latched, cleared = False, t.resets
-        if t.life != a.life and not saved_all:
-            latched = False  # the disk had refused to remember
         if latched and not t.m["flags"] & Flag.VIOLATION_LATCHED:
             yield f"{t.at:.3f}: the latch is gone"
         if t.m["flags"] & Flag.VIOLATION_LATCHED and t.m["state"] not in (State.VIOLATION, State.FAULT, State.SHUTDOWN):
@@ -89,7 +86,7 @@ def the_count_never_goes_back(world: World) -> Iterator[str]:
 
 
 def a_good_arm_is_not_accused(world: World) -> Iterator[str]:
-    if world.torn:
+    if world.torn or world.faults.disk_error:  # what the disk never got may have been a violation
         return
     for t in world.published:
         if t.m["flags"] & Flag.VIOLATION_LATCHED and t.at < world.altered_at:

@@ -28,7 +28,8 @@ from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.overheard import Overheard
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
-from stopset.monitor.journal import FileStore, Journal
+from stopset.monitor.journal import Journal
+from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.opening import Opening
 from stopset.monitor.sample import Quantum, Sample

@@ -15,7 +15,8 @@ from stopset.cli.story import chapters
 from stopset.cli.story.cell import MonitoredCell, Subscriber
 from stopset.cli.story.telling import Asides
 from stopset.errors import StopsetError
-from stopset.monitor.journal import FileStore, Journal
+from stopset.monitor.journal import Journal
+from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Latch, Record
 from test_hidden_effects import ARM
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -14,7 +16,9 @@ import pytest
 from monitor_process import environment
 from patience import wait
 from stopset.errors import OutputError
-from stopset.monitor.journal import SLOT, FileStore, Journal, blank
+from stopset.monitor import journal_file
+from stopset.monitor.journal import SLOT, Journal, blank
+from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.sample import Sample
 from stopset.monitor.verdict import Conformance, Deviation, Verdict
@@ -24,7 +28,8 @@ NEVER_ENDS = """
 import sys
 import numpy as np
 from pathlib import Path
-from stopset.monitor.journal import FileStore, Journal
+from stopset.monitor.journal import Journal
+from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Latch, Record
 from test_journal import bad, sample
 
@@ -208,7 +213,7 @@ CROWDED = """
 import resource, sys
 from pathlib import Path
 from stopset.errors import OutputError
-from stopset.monitor.journal import FileStore
+from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Record
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (20480, 20480))
@@ -231,15 +236,75 @@ def test_a_disk_with_room_for_half_a_journal_gets_none(tmp_path: Path) -> None:
     latch.close()
 
 
-def test_room_for_counts_is_there_from_the_start(tmp_path: Path) -> None:
-    """On a disk that is full when the first violation comes they could not be written."""
-    FileStore(tmp_path / "arm.latch", Record()).close()
-    before = (tmp_path / ".arm.latch.counts").stat().st_size
+@pytest.mark.parametrize("memory", [True, False])
+def test_room_for_counts_is_there_from_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, memory: bool) -> None:
+    """On a disk that is full when the first violation comes they could not be written. Where the system has no place in memory it is beside."""
+    place = tmp_path / "memory"
+    monkeypatch.setattr(journal_file, "MEMORY", place)
+    if memory:
+        place.mkdir()
     latch = Latch(Journal(FileStore(tmp_path / "arm.latch", Record())))
+    (counts,) = place.iterdir() if memory else tmp_path.glob(".*.counts")
+    before = counts.stat().st_size
     for k in range(3):
         latch.take(sample(k), bad(k), 0.0)
+    assert counts.stat().st_size == before > 0
     latch.close()
-    assert (tmp_path / ".arm.latch.counts").stat().st_size == before > 0
+
+
+def test_a_place_in_memory_that_is_somebody_else_s_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever could write there could have a violation forgotten, or lead the monitor's writes elsewhere."""
+    place, victim = tmp_path / "memory", tmp_path / "victim"
+    place.mkdir()
+    monkeypatch.setattr(journal_file, "MEMORY", place)
+    path = tmp_path / "arm.latch"
+    store = FileStore(path, Record())
+    (counts,) = place.iterdir()
+    store.close()
+    assert not list(place.iterdir()), "what the disk holds need not stay there"
+    victim.write_text("something")
+    counts.symlink_to(victim)
+    FileStore(path, Record()).close()
+    assert victim.read_text() == "something" and list(tmp_path.glob(".*.counts"))
+    counts.unlink()
+    counts.touch(0o644)
+    FileStore(path, Record()).close()
+    assert not counts.stat().st_size
+
+
+def test_a_copy_of_the_folder_is_another_arm_s_journal(tmp_path: Path) -> None:
+    first = tmp_path / "first"
+    first.mkdir()
+    a = Journal(FileStore(first / "arm.latch", Record()))
+    shutil.copytree(first, tmp_path / "second")
+    b = Journal(FileStore(tmp_path / "second" / "arm.latch", Record()))
+    for journal in (a, b):
+        journal.read()
+    a.count([7])
+    assert b.counted() == []
+    a.close()
+    b.close()
+
+
+def test_what_the_disk_has_refused_is_tried_again_and_said_until_then(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also if it is told only after the loop has gone on."""
+    latch, disk = Latch(Journal(FileStore(tmp_path / "arm.latch", Record()))), threading.Event()
+    written = os.pwrite
+
+    def refuse(fd: int, data: bytes, at: int) -> int:
+        if len(data) == SLOT and not disk.is_set():
+            time.sleep(0.1)
+            raise OSError(5, "Input/output error")
+        return written(fd, data, at)
+
+    monkeypatch.setattr(os, "pwrite", refuse)
+    begin = time.monotonic()
+    latch.take(sample(0), bad(0), 0.0)
+    assert time.monotonic() - begin < 0.09
+    assert wait(lambda: "Input/output error" in latch.keep(0.1))
+    disk.set()
+    assert wait(lambda: latch.keep(time.monotonic()) == "")
+    latch.close()
 
 
 def test_an_emergency_finds_room_behind_whatever_was_violated(tmp_path: Path) -> None:

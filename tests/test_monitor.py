@@ -21,7 +21,8 @@ from stopset.monitor import plc, status
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.config import ConfigError, load_config
 from stopset.monitor.evidence.cause import Cause, Kind
-from stopset.monitor.journal import FileStore, Journal, blank
+from stopset.monitor.journal import Journal, blank
+from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward_all, unpack
 from stopset.monitor.packer import Packer
@@ -555,6 +556,7 @@ GOOD = 'model = "a.json"\ndata_id = 7\n[bus]\nlink = "hub:1"\n'
         (GOOD + "[publish]\nvalid_for_ms = 2000", "valid_for_ms is 2000"),
         (GOOD + "[publish]\nvalid_for_ms = 0", "valid_for_ms is 0"),
         (GOOD + "[publish]\nrecover_s = nan", "recover_s is nan"),
+        (GOOD + "[publish]\nevidence_min_s = 0.0", "evidence_min_s is 0.0; expected 0.02 to 10"),
         (GOOD + "[publish]\nrecover_s = 0", "recover_s is 0.0; expected 0.05 to 60"),
         ("payload_kg = nan\n" + GOOD, "payload_kg is nan"),
         (f"payload_kg = {'9' * 5000}\n" + GOOD, "TOML"),

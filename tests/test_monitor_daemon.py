@@ -21,7 +21,7 @@ from monitor_process import free_port, running, write_config
 from patience import wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError, NotCovered
-from stopset.monitor import daemon as daemon_module
+from stopset.monitor import clearing
 from stopset.monitor.config import LEAST_RECOVER, Bus, Config, Fallback, Publish, Stops
 from stopset.monitor.daemon import MAX_FAULTS, Daemon
 from stopset.monitor.layout import Flag, State, unpack
@@ -213,7 +213,7 @@ class Silent:
 
 def test_a_reset_of_a_violation_clears_no_emergency_behind_it(make: Callable[..., Made], monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody says of a drive what they have not seen, not with an order that comes twice either; and what is cleared may come anew."""
-    monkeypatch.setattr(daemon_module, "HIDDEN", 0.2)
+    monkeypatch.setattr(clearing, "HIDDEN", 0.2)
     daemon, _, wire = make([])
     source = daemon.source = CanSource(Silent(), load_profile("lwa4p/monitor"), DT)
     emergency, order = (0x085, b"\x10\x23\x03\0\0\0\0\0", time.time()), b'{"name": "A. Person", "reason": "seen"}'
@@ -407,12 +407,34 @@ def test_a_violation_is_latched_whatever_fails_in_its_cycle(make: Callable[..., 
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (3, before[1]))
         daemon.run(never)
+        assert wait(lambda: daemon.desk.offer(time.time(), good[52].q, good[52].dq) or "cannot be begun" in daemon.desk.why)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
     assert daemon.latch.latched and daemon.latch.count == 1 and State(wire.states[-1]["state"]) is State.VIOLATION
-    assert daemon.tally.faults == 0 and daemon.desk.restarts == seen + 1 and "cannot be begun" in daemon.desk.why
+    assert daemon.tally.faults == 0 and daemon.desk.restarts == seen + 1
     # as soon as the machine has one, it goes on
     assert wait(lambda: daemon.desk.offer(time.time(), good[52].q, good[52].dq) or daemon.desk._ready)
+
+
+def test_an_order_that_names_no_message_clears_no_violation_that_nobody_can_have_seen(make: Callable[..., Made]) -> None:
+    """It was under way when the arm left its model, and cleared that before it was told."""
+    good = samples(62)
+    good[50] = replace(good[50], q=good[50].q + 0.5)
+    daemon, arm, wire = make([])
+    arm.script = good[:51]
+    for _ in range(50):
+        daemon.cycle()
+    assert not daemon.latch.latched
+    order = b'{"name": "A. Person", "reason": "seen"}'
+    wire.handlers["reset"]("x/reset", order)
+    daemon.cycle()
+    assert daemon.latch.latched and State(wire.states[-1]["state"]) is State.VIOLATION
+    assert "only now" in wire.slow["event"][-1]["why"] and wire.slow["event"][-1]["kind"] == "reset_refused"
+    time.sleep(clearing.REACTION + 0.05)
+    arm.script = [None]
+    wire.handlers["reset"]("x/reset", order)
+    daemon.cycle()
+    assert not daemon.latch.latched
 
 
 @pytest.mark.parametrize(("recover", "flaps"), [(0.0, True), (LEAST_RECOVER, False)])

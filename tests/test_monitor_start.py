@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -123,6 +124,26 @@ def test_a_process_that_hangs_is_ended_and_begun_anew(tmp_path: Path, monkeypatc
         desk.close()
 
 
+def test_whatever_it_takes_to_begin_it_anew_the_loop_does_not_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It took some 70 ms of silence, longer than data are valid for."""
+    model, threads = save_model(known_model(), tmp_path / "m.model.json"), []
+    begun, still, begin = Spawned.bounding_stops(), np.zeros(6), Spawned.bounding_stops
+    desk = StopDesk(str(tmp_path / "m.model.json"), seen_by(model), Stops(("0",)), None, Quantum.none(6), begun=begun)
+
+    def slow() -> Spawned:
+        threads.append(threading.get_ident())
+        return begin()
+
+    try:
+        desk.offer(0.0, still, still)
+        monkeypatch.setattr(Spawned, "bounding_stops", staticmethod(slow))
+        begun.process.kill()
+        assert wait(lambda: desk.offer(time.time(), still, still) or (desk._ready and desk.restarts == 1))
+        assert threads and threading.get_ident() not in threads
+    finally:
+        desk.close()
+
+
 def test_a_process_that_has_ended_before_it_is_assigned_is_begun_anew(tmp_path: Path) -> None:
     model = save_model(known_model(), tmp_path / "m.model.json")
     begun, still = Spawned.bounding_stops(), np.zeros(6)
@@ -145,6 +166,37 @@ def test_a_process_nobody_assigns_ends_with_who_began_it() -> None:
     begun.pipe.close()
     begun.process.join(60.0)
     assert begun.process.exitcode == 0
+
+
+SHORT = """
+import os, sys
+import numpy as np
+from stopset.monitor.config import Stops
+from stopset.monitor.spawned import Spawned
+
+begun = Spawned.bounding_stops(copied=sys.argv[2] == "copied")
+if sys.argv[3] == "assigned":
+    begun.assign(sys.argv[1], "", None, Stops(("0",)), ("0",))
+print(begun.process.pid, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes of Linux")
+@pytest.mark.parametrize("how", ["copied", "begun"])
+@pytest.mark.parametrize("what", ["assigned", "not yet"])
+def test_a_process_ends_with_a_monitor_that_lived_for_no_second(tmp_path: Path, how: str, what: str) -> None:
+    """Killed that early a monitor left its copy behind, for ever: it held the pipe's other end too, and took who adopted it for who began it."""
+    save_model(known_model(), tmp_path / "m.model.json")
+    words = [sys.executable, "-c", SHORT, str(tmp_path / "m.model.json"), how, what]
+    with subprocess.Popen(words, env=environment(), stdout=subprocess.PIPE, text=True) as short:
+        assert short.stdout is not None
+        pid = int(short.stdout.readline())
+        place = Path(f"/proc/{pid}/stat")
+        ended = wait(lambda: not place.exists() or place.read_text().rpartition(")")[2].split()[0] == "Z", 10.0)
+        if not ended:
+            os.kill(pid, signal.SIGKILL)
+    assert ended
 
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core is all there is")

@@ -39,9 +39,9 @@ from patience import Granted, rest, wait
 from state_messages import pack
 from stopset.artifact import save_model
 from stopset.monitor.authentication import Key, load_keys
+from stopset.monitor.clearing import HIDDEN
 from stopset.monitor.config import load_config
 from stopset.monitor.consumer import Fault
-from stopset.monitor.daemon import HIDDEN
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.journal import SLOT
 from stopset.monitor.layout import LENGTH, Flag, State, unpack

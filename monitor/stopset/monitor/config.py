@@ -18,6 +18,7 @@ Masses = tuple[
     float, float
 ]  # [kg] least and most; in the file a number alone stands for both, but 0 for nothing declared, as ever
 LEAST_RECOVER = 0.05  # [s] without any, a good cycle between two bad ones is OK
+LEAST_EVIDENCE = 0.02  # [s] without any, an arm is OK that has been held against nothing but the cycle before
 EXPANDED = {"0": ("0",), "1": ("1", "1 guaranteed"), "2": ("2",)}  # what is bounded for a category that is asked for
 
 
@@ -180,7 +181,9 @@ class Config:
     """Everything the daemon is told. ``sha256``: of the file's text, published so that a change is seen.
 
     ``data_id``: this arm's, told to its consumers; ``keys``: key file of the authentication code, "" = no code; ``journal``:
-    where a violation is remembered, "" = beside the configuration, or in systemd's state directory. ``payload_kg``: surely on the
+    where a violation is remembered, "" = beside the configuration, or in systemd's state directory; ``must_remember``: a start without
+    one is no first start but a loss, and latched; ``begun``: a file beside the configuration that tells one from the other, where it can be
+    written. ``payload_kg``: surely on the
     flange, beyond the model's own; (0, 0) = surely nothing, None = not declared.
     """
 
@@ -194,6 +197,7 @@ class Config:
     arm: str = "arm"
     keys: str = ""
     journal: str = ""
+    must_remember: bool = False
     payload_kg: Masses | None = None
     warm: tuple[float, ...] = (0.0, 1.0)  # place in the session, if known better: only for models with a warm-up
     realtime: bool = False  # lock memory; needs the limits of deploy/systemd, as the next two do
@@ -208,6 +212,7 @@ class Config:
     record: Records = field(default_factory=Records)
     limits: StopLimits = field(default_factory=StopLimits)
     sha256: str = ""
+    begun: str = ""
 
     @property
     def prefix(self) -> str:
@@ -222,7 +227,7 @@ def _build(kind: Any, x: Any, where: str) -> Any:
         if not isinstance(x, dict):
             raise ConfigError(f"{where} is {x!r}; expected a table")
         hints = typing.get_type_hints(kind)
-        known = {f.name for f in dataclasses.fields(kind)} - {"sha256"}
+        known = {f.name for f in dataclasses.fields(kind)} - {"sha256", "begun"}
         if unknown := set(x) - known:
             raise ConfigError(
                 f"{where or 'the configuration'} has the unknown key {', '.join(sorted(unknown))}; expected some of "
@@ -265,7 +270,7 @@ def _ranges(config: Config) -> tuple[tuple[str, float, float, float], ...]:
         ("publish.valid_for_ms", config.publish.valid_for_ms, 1, 1000),
         ("publish.stale_ms", config.publish.stale_ms, 1, 60000),
         ("publish.evidence_s", config.publish.evidence_s, 0.0, 10.0),
-        ("publish.evidence_min_s", config.publish.evidence_min_s, 0.0, 10.0),
+        ("publish.evidence_min_s", config.publish.evidence_min_s, LEAST_EVIDENCE, 10.0),
         ("publish.recover_s", config.publish.recover_s, LEAST_RECOVER, 60.0),
         ("stops.rate_hz", config.stops.rate_hz, 0.1, 1000.0),
         ("stops.core_share", config.stops.core_share, 1e-3, 16.0),
@@ -336,7 +341,7 @@ def _placed(p: Path, config: Config, text: str) -> Config:
         operators=tuple(dataclasses.replace(o, key=str(here / o.key)) for o in config.operators),
         sha256=hashlib.sha256(text.encode()).hexdigest(),
         keys=str(here / config.keys) if config.keys else "",
-        journal=str(journal), record=dataclasses.replace(config.record, folder=str(record)),
+        journal=str(journal), begun=str(here / f".{p.name}.begun"), record=dataclasses.replace(config.record, folder=str(record)),
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from stopset.artifact import Model
 from stopset.errors import BusError, NotCovered
 from stopset.monitor.along import watch_for
 from stopset.monitor.certificates import Numbers
+from stopset.monitor.clearing import Clearing
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import Config
 from stopset.monitor.evidence.recorder import Filed, Recorder
@@ -25,8 +26,8 @@ from stopset.monitor.latch import Latch
 from stopset.monitor.layout import MAX_JOINTS, Flag, State
 from stopset.monitor.message import CODES, Observed, StateMessage
 from stopset.monitor.notify import Notifier
-from stopset.monitor.operators import Moment, Operators
-from stopset.monitor.orders import Orders, Reset
+from stopset.monitor.operators import Operators
+from stopset.monitor.orders import Orders
 from stopset.monitor.pace import Pace
 from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import Outlet, Publisher
@@ -46,7 +47,6 @@ MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and let
 PATIENCE = 0.01  # [s] longest wait for a sample before the heartbeat goes out without one
 AGAIN = 0.5  # [s] between two tries to open a lost bus
 FALLBACK_IN_FORCE = int(Flag.FALLBACK_IN_FORCE)
-HIDDEN = 2.0  # [s] that an emergency must have been said, not hidden by a violation, before an order can be about it
 LATE = 3  # samples in a row that came later than they are valid for
 Reopen = Callable[[], SampleSource | None]  # None: not there yet, ask again
 
@@ -81,20 +81,18 @@ class Daemon:
         self._use(self._prepare(model, beside.desk, beside.begun))
         self.recovery = Recovery(self.limits)
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
-        self._unseen = self.clock.monotonic()  # until when nobody can have seen all emergencies
         self._remind()
-        self.operators = Operators.of(config.operators)
         self.stopping = False
         self.pace = Pace(cycle_s / (config.bus.time_scale if config.bus else 1.0))
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
         self._arrived = float("-inf")
-        self._violated = -1  # the message that told the last violation of this life
         self._late_in_a_row = 0
         self._fault = self._last_words = self._disk = ""
         self._evidence: deque[Sample] = deque(maxlen=max(1, round(config.publish.evidence_s / cycle_s)))
         self._next_json = self._next_health = 0.0
         self.publisher = Publisher(outlet, self.clock, self._identity(), beside.signer)
+        self.clearing = Clearing(Operators.of(config.operators), self.latch, self.publisher, config.data_id, self.clock)
         self._message = StateMessage(config.fallback, model.n)
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
@@ -174,7 +172,7 @@ class Daemon:
         """What drives say once is kept before anything else happens."""
         if (drives := drives_of(self.source)) is not None:
             if drives.in_force.items() - self.latch.record.emergencies.items():  # another of the same drive is one too
-                self._unseen = self.clock.monotonic()
+                self.clearing.emergency()
             self.latch.hear(drives.in_force)
 
     def _remind(self) -> None:
@@ -190,7 +188,7 @@ class Daemon:
         v = self.verdict = self.watch.step(s)
         new = self.latch.take(s, v, now)  # before anything else, for nothing that fails below may lose it
         if v.conformance is Conformance.VIOLATION:
-            self._violated = self.publisher.seq
+            self.clearing.violation()
         t = self.tally
         t.samples += 1
         t.verdicts[v.conformance.value] += 1
@@ -254,37 +252,10 @@ class Daemon:
     def _obey(self, now: float) -> None:
         for nonce in self.orders.challenges():
             self.publisher.echo(nonce)
-        order = self.orders.reset()
-        if order is not None:
-            if order[0] is None:
-                self.publisher.seldom("reset_refused", why='expected {"name": who, "reason": why}')
-            else:
-                self._clear(order[0], now)
+        if (order := self.orders.reset()) is not None:
+            self.clearing.take(order[0], now, self.source)
         self._take_reloaded()
         self._say_recorded(now)
-
-    def _clear(self, order: Reset, now: float) -> None:
-        """A person clears the latch, if this one may; where nothing is latched, the emergencies, which a latch would have hidden."""
-        who, p, drives = self.operators, self.publisher, drives_of(self.source)
-        emergencies = {} if self.latch.latched else self.latch.record.emergencies
-        if why := who.refused(order, Moment(self.config.data_id, p.boot, p.seq), self._violated):
-            p.seldom("reset_refused", why=why)
-            return
-        if emergencies and now - self._unseen < HIDDEN:
-            p.seldom("reset_refused", why="a drive's emergency has come, or come to light, only now; look at it, and order anew")
-            return
-        name = who.name(order)
-        p.event(
-            "reset", name=name, reason=order.reason, proven=bool(who.keys), key=order.key if who.keys else "",
-            cleared=self.latch.count, joints=list(self.latch.joints),
-            emergencies={joint: f"0x{code:04X}" for joint, code in emergencies.items()},
-        )  # fmt: skip
-        self._unseen = now
-        self.latch.reset(name, order.reason, now)
-        if emergencies:
-            self.latch.hear({})
-            if drives is not None:
-                drives.dismiss()
 
     def _say_recorded(self, now: float) -> None:
         """What the recorder has found since the last turn."""

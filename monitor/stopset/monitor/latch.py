@@ -106,7 +106,7 @@ class Latch:
         if new:
             self.save(now)
         elif self._journal is not None:
-            self._journal.count([r.count, *(e.samples for e in r.entries)])
+            self._journal.count(self._counts)
         return new
 
     def classed(self, cause: Cause, now: float) -> None:
@@ -129,13 +129,18 @@ class Latch:
         if emergencies != self.record.emergencies:
             self.record.emergencies = dict(emergencies)
             if self._journal is not None:
-                self._journal.write(self._stored())
+                self._journal.write(self._stored(), self._counts)
 
     def save(self, now: float) -> None:
         """Put what is known on disk."""
         if self._journal is not None:
             self._saved_at, self._saved = now, self.record.count
-            self._journal.write(self._stored())
+            self._journal.write(self._stored(), self._counts)
+
+    @property
+    def _counts(self) -> list[int]:
+        """What changes in every cycle that violates."""
+        return [self.record.count, *(e.samples for e in self.record.entries)]
 
     def _stored(self) -> Record:
         """The record, without the last entries if a slot has no room for so many: what comes later, an emergency, must not be refused."""
@@ -188,7 +193,7 @@ class Latch:
         """Save the last count."""
         if self._journal is not None:
             if self.record.count != self._saved or self._journal.trouble:
-                self._journal.write(self._stored())
+                self._journal.write(self._stored(), self._counts)
             self._journal.close()
 
 

@@ -19,7 +19,8 @@ from stopset.monitor.evidence.overheard import Overheard
 from stopset.monitor.evidence.recorder import Recorder
 from stopset.monitor.evidence.trace import Trace
 from stopset.monitor.jointstate import MAX_BYTES
-from stopset.monitor.journal import FileStore, Journal
+from stopset.monitor.journal import Journal
+from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.links.bus import listen
 from stopset.monitor.links.zenoh_link import ZenohLink
@@ -51,7 +52,7 @@ def start(config: Config, begun: Spawned, seconds: float = 0.0) -> tuple[int, di
     model = load()
     cycle_s = _cycle(config, model, profile)
     signer = load_keys(config.keys).first if config.keys else None
-    latch = Latch(Journal(FileStore(Path(config.journal), Record())))
+    latch = Latch(Journal(FileStore(Path(config.journal), Record(), Path(config.begun), lost=config.must_remember)))
     z = config.zenoh
     link = ZenohLink(config.prefix, mode=z.mode, connect=z.connect, listen=z.listen, file=z.file or None, longest=MAX_BYTES)
     valid_for = config.publish.valid_for_ms * 1e-3  # older samples need not wait

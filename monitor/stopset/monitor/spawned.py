@@ -29,9 +29,10 @@ class Spawned:
 
         ``copied``: with all that this process has loaded; only before it has any threads.
         """
-        context: Any = mp.get_context("fork" if copied and sys.platform == "linux" else "spawn")
+        forked = copied and sys.platform == "linux"
+        context: Any = mp.get_context("fork" if forked else "spawn")
         mine, theirs = context.Pipe()
-        process = context.Process(target=_run, args=(load, theirs), daemon=True, name=name)
+        process = context.Process(target=_run, args=(load, theirs, mine if forked else None), daemon=True, name=name)
         process.start()
         theirs.close()
         return cls(process, mine)
@@ -46,7 +47,10 @@ class Spawned:
         self.pipe.send(arguments)
 
 
-def _run(load: Callable[[], Work], pipe: Connection) -> None:
+def _run(load: Callable[[], Work], pipe: Connection, copied: Connection | None) -> None:
+    """``copied``: the other end, which came along and would keep the pipe from ending with who began this."""
+    if copied is not None:
+        copied.close()
     work = load()
     try:
         arguments = pipe.recv()

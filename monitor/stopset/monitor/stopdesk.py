@@ -9,6 +9,7 @@ narrow ones would cost more than their share of a core (`stopset.monitor.asking`
 from __future__ import annotations
 
 import contextlib
+import queue
 import threading
 from collections import deque
 from dataclasses import dataclass, field
@@ -66,6 +67,9 @@ class StopDesk:
     _heard: float = 0.0  # [s] when it said something last, or was asked first
     _turn: int = 0
     _again: float = float("inf")  # [s] when it is to be begun once more
+    _coming: queue.SimpleQueue[Spawned | Exception] = field(
+        default_factory=queue.SimpleQueue
+    )  # begun beside the loop, or why not
 
     def __post_init__(self) -> None:
         self.budget = Budget(self.stops.core_share)
@@ -114,6 +118,8 @@ class StopDesk:
     def offer(self, t: float, q: Array, dq: Array) -> None:
         """The newest state at ``t`` [s]; asks for new bounds where those that are kept do not hold what is coming."""
         self._motion.see(t, q, dq)
+        if not self._coming.empty():
+            self._come(self._coming.get_nowait())
         self._collect()
         now, period = self.clock.monotonic(), 1.0 / self.stops.rate_hz
         if now >= self._again:
@@ -165,11 +171,25 @@ class StopDesk:
             self._begin_again()
 
     def _begin_again(self) -> None:
+        """Beside the loop: to begin a process takes some tens of milliseconds."""
+        self._pipe, self._ready, self._inbox = None, False, deque()
         try:
-            self._start()
-        except (OSError, RuntimeError) as e:  # the machine gives no process, pipe or thread now; perhaps later
+            threading.Thread(target=_begin, args=(self._coming,), daemon=True, name="stop-begin").start()
+        except RuntimeError as e:
+            self._come(e)
+
+    def _come(self, begun: Spawned | Exception) -> None:
+        """The process, or why there is none."""
+        why = "" if isinstance(begun, Spawned) else f"{type(begun).__name__}: {begun}"
+        if isinstance(begun, Spawned):
+            self.begun = begun
+            try:
+                self._start()
+            except (OSError, RuntimeError) as e:
+                why = str(e)
+        if why:  # the machine gives no process, pipe or thread now; perhaps later
             self._pipe, self._ready, self._again = None, False, self.clock.monotonic() + AGAIN
-            self.why = f"the process that bounds stops cannot be begun ({e}); no stop provable until it can"
+            self.why = f"the process that bounds stops cannot be begun ({why}); no stop provable until it can"
 
     def now(self, q: Array, dq: Array) -> tuple[dict[str, Numbers], bool]:
         """Bounds by category that hold for this state, and whether all of them were answered for it."""
@@ -218,6 +238,13 @@ def seen_by(model: Model) -> Box:
     domain, limit = model.domain, model.robot.q_limit
     lo, hi = np.maximum(domain.q.lo, limit[:, 0]), np.minimum(domain.q.hi, limit[:, 1])
     return Box(np.concatenate([lo, domain.dq.lo]), np.concatenate([np.maximum(lo, hi), domain.dq.hi]))
+
+
+def _begin(coming: queue.SimpleQueue[Spawned | Exception]) -> None:
+    try:
+        coming.put(Spawned.bounding_stops())
+    except Exception as e:  # noqa: BLE001 - it is said where the process is waited for
+        coming.put(e)
 
 
 def _receive(pipe: Connection, inbox: deque[Certificate | str | None]) -> None:

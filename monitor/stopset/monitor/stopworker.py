@@ -6,6 +6,7 @@ The proofs run in the compiled core, which lets the other threads go on meanwhil
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import queue
 import sys
@@ -62,7 +63,8 @@ def work(
 
 def asked(pipe: Connection) -> Iterator[Any]:
     """What the daemon asks a process of its own, until it says None or is gone."""
-    parent = os.getppid()
+    began = multiprocessing.parent_process()  # which may be gone already
+    parent = os.getppid() if began is None else began.pid
     while True:
         while not pipe.poll(PARENT_S):
             if os.getppid() != parent:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 SILENCE = AFTER + 1.0  # [s] without a reading after which no more are waited for
 PATIENCE = 30.0  # [s] in which the readings after a contradiction must have come, however slowly
+HUNG = 10.0  # [s] without the end of a turn, which takes parts of one, then it is said
 SWITCH = 5e-4  # [s] the loop waits at most for the interpreter while the recorder computes
 WAITING = 8  # incidents and words that may wait; more are dropped, counted
 SAID = frozenset({"event", "health", "state/json"})
@@ -83,6 +84,7 @@ class Recorder:
     _running: Running | None = None
     _thread: threading.Thread | None = None
     _closing: bool = False
+    _turned: float = float("inf")  # [s] when its thread had nothing to do last
     _next_look: float = float("-inf")
     _position: Array | None = None  # as it is kept
     _late_said: bool = False
@@ -104,6 +106,10 @@ class Recorder:
     def overhear(self, name: str, data: bytes) -> None:
         """What is said on the slow keys."""
         if name in SAID:
+            if self.clock.monotonic() - self._turned > HUNG:
+                self.trouble = (
+                    f"the recorder has been busy for over {HUNG:g} s: the disk of {self.folder} may not answer; look at it"
+                )
             if len(self._words) >= 64 * WAITING:
                 self.dropped += 1
                 return
@@ -120,6 +126,7 @@ class Recorder:
 
     def _work(self) -> None:
         while not self._closing:
+            self._turned = self.clock.monotonic()
             try:
                 self.turn()
             except Exception as e:  # noqa: BLE001 - the recorder's errors are its own: the loop lives on
@@ -228,6 +235,8 @@ class Recorder:
         self._closing = True
         if self._thread is not None:
             self._thread.join(timeout=5.0)
+            if self._thread.is_alive():  # held by a disk that hangs, which would hold whoever turns to it too
+                return
         with contextlib.suppress(Exception):  # nobody is left to be told
             self.turn(last=True)
             if self._running is not None:
