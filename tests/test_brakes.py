@@ -130,6 +130,9 @@ def test_true_brakes_are_found_and_held_out_stops_enclosed(tmp_path: Path) -> No
     ramp = ramp_of(back)
     assert ramp is not None and ramp.kind == "time" and ramp.value.lo[0] <= 0.29 and ramp.value.hi[0] >= 0.31
     bound_ = StopBounds.of(back).bound(np.zeros(6) + 0.3, np.full(6, 0.8), "1")
+    # tracking errors are as large as those recorded, from whatever speed the arm is stopped: from which they were is told
+    assert ramp.fastest is not None and np.all((ramp.fastest > 0.9) & (ramp.fastest < 1.21))
+    assert any(f"recorded from at most [{ramp.fastest[0]:.3g}, " in a for a in bound_.assumptions)
     assert bound_.certified and bound_.forward.max() >= 0.8 * 0.5 * 0.3
     # the test has teeth: other brakes and another ramp are refuted by the same held-out stops
     held = divide(stops)[1]

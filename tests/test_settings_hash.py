@@ -108,6 +108,7 @@ LEFT_OUT = (
     ("stopset.reach.stops.setting", "OUTSIDE", WORDS),
     ("stopset.offline.abstraction.metrics", "REPEATED", "which scatters between repetitions are reported"),
     ("stopset.reach.stops.start", "NONE", "no extrapolation at all: what is known at the start as it is"),
+    ("stopset.reach.stops.payload", "SAME_PLACE", REFUSED),
     ("stopset.reach.stops.setting", "HEAVIEST FARTHEST", REFUSED),
     ("stopset.reach.stops.setting", "NEXT_TO_NOTHING", WORDS),
     ("stopset.reach.stops.ramp", "KEY", FORMAT),

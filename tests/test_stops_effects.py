@@ -35,10 +35,12 @@ from stopset.offline.revise.revise import stop_figures
 from stopset.reach.stops import StopBounds, tubes
 from stopset.reach.stops.friction import acted, torques_of
 from stopset.reach.stops.laws import acting_law
+from stopset.reach.stops.payload import per_kg, weighed
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import Region, fastest, tubes_of
 from stopset.ring import Interval, absolute, cos, exp, maximum, minimum, sign, sin, sqrt, square, tanh
+from stopset.robot.rigid import gravity_torque
 from stopset.sets import Box
 from test_fmu import friction
 from test_fmu_stops import braked, core_stop
@@ -370,6 +372,23 @@ def test_an_added_payload_counts_once_for_everyone() -> None:
     assert np.array_equal(others_numbers["stop_per_kg"][1:4], same.robot.tip)
     for name in numbers.keys() - {"stop_per_kg"}:
         assert np.array_equal(numbers[name], others_numbers[name]), name
+
+
+def test_what_was_weighed_wrongly_is_where_it_was_weighed_whatever_else_is_carried() -> None:
+    """An identified tool of 2 +- 0.12 kg at 0.2 m, known payloads at the flange: gravity of every mass it may have is in the plant's range."""
+    model, q = hiding(CASES["payload"]), np.array([0.1, 0.9, 0.6, 0.2, 1.2, 0.3])
+    own = weighed(model, None)[1]
+    for payload, com in (((0.0, 0.0), model.robot.tip - own), ((0.5, 0.5), np.array([0.0, 0.1, 0.3]))):
+        plant = StopBounds.of(model, payload, com).setting.plant  # type: ignore[union-attr]
+        edges = np.array([gravity_torque(plant.chain, plant.pi + s * plant.pi_half, q) for s in (-1.0, 1.0)])
+        for off in (-3 * 0.04, 3 * 0.04):
+            true = model.robot.pi.copy()
+            true[-1] += payload[0] * per_kg(com) + off * per_kg(own)
+            g = gravity_torque(plant.chain, true, q)
+            assert np.all(g >= edges.min(axis=0) - 1e-9) and np.all(g <= edges.max(axis=0) + 1e-9)
+    with pytest.raises(NotCovered, match="beside one weighed by its torque to"):
+        StopBounds.of(model, (0.0, 0.5), np.array([0.0, 0.1, 0.3]))
+    assert StopBounds.of(model, (0.0, 0.5)).setting is not None
 
 
 def test_a_law_that_drives_the_faster_the_joint_goes_holds_for_the_speeds_it_was_asked_for(others: None) -> None:

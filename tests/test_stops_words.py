@@ -78,6 +78,19 @@ def test_who_can_run_into_an_end_stop_is_told(category: str) -> None:
     assert "end stop" not in said(dq) and "end stop" not in said(-dq)
 
 
+def test_a_brake_heard_of_only_when_it_is_early_is_not_always_early() -> None:
+    """Brakes that engage at times of their own; the first joint is at rest before 32 ms in all recorded stops. In a faster one it is not."""
+    delay = np.random.default_rng(3).uniform(0.02, 0.06, (40, 6))
+    told = np.where((np.arange(6) == 0) & (delay > 0.032), np.nan, delay)
+    own = own_lags(told)
+    box, delay_spread, _ = timing_of(told, own, [0] * 40)
+    assert own[0] == 0.0 and np.all(box.hi >= delay.max(axis=0)) and np.all(box.lo <= delay.min(axis=0))
+    assert delay_spread is not None and np.ptp(delay - own, axis=1).max() <= delay_spread
+    # one that really is always early is heard of in every stop
+    early = delay * 0.2 + 0.04 - 0.02 * (np.arange(6) == 0)
+    assert own_lags(early)[0] == pytest.approx(-0.02, abs=3e-3)
+
+
 # ---- brakes that engage close together -----------------------------------------------------------------------------------
 
 

@@ -12,6 +12,8 @@ from stopset.errors import EffectError, NotCovered
 from stopset.robot.arm import standard_parameters
 from stopset.types import Array
 
+SAME_PLACE = 1e-6  # [m]
+
 
 def effect_of(f: Fitted) -> Effect:
     """What a model's effect is. Raises `NotCovered` for one that is not installed here: it may weigh, rub or push."""
@@ -42,12 +44,18 @@ def bodies(model: Model, payload: tuple[float, float], com: Array) -> tuple[Arra
 
     ``com``: (3,) [m] its centre in the last link.  ``model.robot.pi`` holds what the arm carried when it was identified, a
     payload found as an effect included; so only what is on top of that is added, and what that was weighed wrongly by: a gain
-    of the drives is in the mass and in every reading of the torque, so ``U`` does not show it.
+    of the drives is in the mass and in every reading of the torque, so ``U`` does not show it.  It was weighed wrongly where it is, whatever
+    ``com`` says of the rest. Raises `NotCovered` where two masses at two places are known as ranges: no proof holds both.
     """
-    carried = np.zeros_like(model.robot.pi)
-    carried[-1] = per_kg(com)
-    lo, hi = payload
-    return model.robot.pi + 0.5 * (lo + hi) * carried, (0.5 * (hi - lo) + weighed(model, com)[0]) * carried
+    carried, off = np.zeros_like(model.robot.pi), np.zeros_like(model.robot.pi)
+    (lo, hi), (mass_uncertainty, own) = payload, weighed(model, None)
+    if lo < hi and mass_uncertainty > 0.0 and float(np.linalg.norm(com - own)) > SAME_PLACE:
+        raise NotCovered(
+            f"a payload of {lo:g} to {hi:g} kg at {np.round(com, 4).tolist()} m beside one weighed by its torque to +- {mass_uncertainty:.3g} kg "
+            f"at {np.round(own, 4).tolist()} m; expected both at one place: leave the centre out, or describe what the arm carries and identify again"
+        )
+    carried[-1], off[-1] = per_kg(com), per_kg(own)
+    return model.robot.pi + 0.5 * (lo + hi) * carried, 0.5 * (hi - lo) * carried + mass_uncertainty * off
 
 
 def per_kg(com: Array) -> Array:

@@ -43,7 +43,8 @@ class Ramp:
     keep the same share, as when the whole controller fails, else each its own. ``pace`` (lo, hi) [1/s]: the ramp slows
     down the programmed motion, which may itself be changing its speeds at the request, by this share per second of motion.
     ``standstill`` (n,) [rad/s]: a joint that stays slower is at rest, by default `STILL`; ``settle`` [s]: how long after the
-    ramp's end the last joint comes to rest at the latest, None where nothing says it.
+    ramp's end the last joint comes to rest at the latest, None where nothing says it. ``fastest`` (n,) [rad/s]: the largest speeds from
+    which the stops were recorded that the tracking errors are those of, None where none were, or an older model does not say.
     """
 
     kind: Literal["time", "deceleration"]
@@ -64,6 +65,7 @@ class Ramp:
     notes: tuple[str, ...] = field(default=())
     settle: float | None = None
     standstill: Array | None = None
+    fastest: Array | None = None
 
     @property
     def band(self) -> Array:
@@ -84,6 +86,7 @@ class Ramp:
             "reaction": self.reaction, "tolerance": self.tolerance, "share": self.share, "together": self.together,
             "window": self.window, "creep": self.creep, "pace": list(self.pace), "source": self.source, "notes": list(self.notes),
             "settle": self.settle, "standstill": None if self.standstill is None else self.standstill.tolist(),
+            "fastest": None if self.fastest is None else self.fastest.tolist(),
         }  # fmt: skip
 
     @classmethod
@@ -93,7 +96,7 @@ class Ramp:
         rest["together"] = d.get("together", False)
         rest["pace"] = tuple(d.get("pace", (0.0, 0.0)))
         rest["settle"] = d.get("settle")  # an older file does not say when the arm rests
-        rest["standstill"] = None if d.get("standstill") is None else np.array(d["standstill"], float)
+        rest |= {k: None if d.get(k) is None else np.array(d[k], float) for k in ("standstill", "fastest")}
         return cls(
             kind=d["kind"], value=Box.of(*d["value"]), control=Box.of(*d["control"]), q_error=np.array(d["q_error"], float),
             dq_error=np.array(d["dq_error"], float), notes=tuple(d["notes"]), **rest,

@@ -46,10 +46,11 @@ def end_stops(joints: Sequence[str]) -> str:
 def ramp_assumptions(ramp: Ramp, category: Category) -> tuple[str, ...]:
     """What the bound of a ramp rests on."""
     unit = "s" if ramp.kind == "time" else "rad/s^2"
+    recorded = "" if ramp.fastest is None else f", from whatever speed: recorded from at most {_list(ramp.fastest)} rad/s"
     out = [
         f"ramp ({ramp.source}): fixed {ramp.kind} {ramp.value.lo.min():.4g} to {ramp.value.hi.max():.4g} {unit}, starts "
         f"{1e3 * ramp.control.lo.min():.3g} to {1e3 * ramp.control.hi.max():.3g} ms after the request, tracked within "
-        f"{ramp.q_error.max():.3g} rad and {ramp.dq_error.max():.3g} rad/s"
+        f"{ramp.q_error.max():.3g} rad and {ramp.dq_error.max():.3g} rad/s{recorded}"
     ]
     if any(ramp.pace):
         lo, hi = ramp.pace

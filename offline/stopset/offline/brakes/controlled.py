@@ -48,6 +48,7 @@ def ramp_from(
         Box.of(np.full(n, max(value[0], 1e-3)), np.full(n, value[1])), Box.of(np.full(n, max(control[0], 0.0)), np.full(n, control[1])),
         q_error, dq_error, source="identified from stop1 recordings", pace=(-pace, pace),
         settle=_settling(kind, train, fits[kind], still, notes), standstill=still,
+        fastest=np.max([np.abs(v0) for _, _, v0 in map(_motion, train)], axis=0),
     )  # fmt: skip
     for round_ in range(WIDENINGS + DOUBLINGS):
         outside = judge_stop1(ramp, noise, train).outside

@@ -29,6 +29,7 @@ LEAST = 4  # training stops, and told values, that an interval needs
 TAIL = 6  # samples at the end of a joint's slide over which its brake is taken to be fully closed, where it ever is
 ENOUGH = 8  # stops that tell their delay, to believe their interval alone
 SIGMAS = 4.0  # of a measured speed's noise within its bound
+USUALLY = 0.8  # of the stops that tell delays: a joint that tells its own in fewer may have been at rest in all of its late ones
 OWN_LAG = 3e-3  # [s] a joint's own delay must differ by more from the other joints' to be its own
 ROUNDS = 10  # of medians
 STRAY = 8e-3  # [s] and three times the median deviation: a delay this far from the others of its stop is a misfit
@@ -159,7 +160,8 @@ def own_lags(delay: Array) -> Array:
     """(n,) [s] by how much each joint's brake always engages later than the others of its stop: 0 where it does not, nor where
     too few stops tell it.  ``delay``: (stops, n), nan where a stop tells nothing.
 
-    A stop's common time and a joint's lag are fitted in turn, by medians: a few misfits move neither.
+    A stop's common time and a joint's lag are fitted in turn, by medians: a few misfits move neither.  A brake that engages after its joint has
+    come to rest tells nothing, so a joint that is seldom heard of is heard of when its brake is early, and is not always early for that.
     """
     n, given = delay.shape[1], ~np.isnan(delay)
     together = given.sum(axis=1) > 1
@@ -171,6 +173,8 @@ def own_lags(delay: Array) -> Array:
         for i in range(n):
             mine = (rows - common)[given[together, i], i]
             own[i] = np.median(mine) if len(mine) >= LEAST else 0.0
+            if own[i] < 0.0 and len(mine) < USUALLY * len(rows):
+                own[i] = 0.0
     for i in range(n):
         mine = (rows - common)[given[together, i], i]
         if len(mine) < LEAST or abs(own[i]) <= max(OWN_LAG, 2.0 * 1.4826 * float(np.median(np.abs(mine - own[i])))):

@@ -144,7 +144,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("ramps", controlled, "KINDS START SOFT CONTROL"),
     ("impulses", impulse, "SLIDING SHORTEST"),
     ("judge of stops", judge, "BEFORE SLOW PIECES"),
-    ("brakes", power_off, "LEAST TAIL ENOUGH SIGMAS OWN_LAG ROUNDS STRAY TYPICAL TYPICAL_U LEAST_TORQUE USUAL_RISE"),
+    ("brakes", power_off, "LEAST TAIL ENOUGH SIGMAS USUALLY OWN_LAG ROUNDS STRAY TYPICAL TYPICAL_U LEAST_TORQUE USUAL_RISE"),
     ("stops", stops, "HELD FEW REST"),
     ("brake timing", timing, "GRID RISES TORQUE_PRIOR FADING EARLY SIGNIFICANT SHARP TELLING CREDIBLE MISFIT"),
     ("stop bounds", bounds, "SWEEPS FEW"),
