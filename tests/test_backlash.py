@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,9 @@ import pytest
 
 from stopset.artifact import load_model
 from stopset.cli.main import main
-from stopset.offline.description import robot_from_text
+from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import diagnose
+from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
 from stopset.offline.diagnose.plays import plays
 from stopset.recording import Recordings, read_recordings, write_recordings
 from stopset.robot.rigid import gravity_torques
@@ -22,6 +24,7 @@ from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from as_found import ARCMIN, ONE, PROGRAM, Trouble, geared, recorded
+from bends import mounted
 
 ENCODER = 2 * np.pi / 2**19  # [rad] of the encoders behind the gears
 STIFF, SOFT = 1e5, 1e4  # [N m/rad] an industrial arm's gear, and a small one's
@@ -113,3 +116,53 @@ def test_what_is_named_is_added_with_its_numbers(tmp_path: Path) -> None:
     (play,) = (f for f in model.effects if f.effect == "backlash")
     assert play.joint == "lift" and abs(play.values["gap"] - 3 * ARCMIN) < 0.1 * 3 * ARCMIN and play.std["gap"] > 0
     assert not any(f.effect == "backlash" for f in model.input.effects), "no torque is taken off for it"
+
+
+@pytest.mark.parametrize(("stiffness", "gap", "seed"), [(SOFT, 0, 5), (2e3, 0, 7), (SOFT, 5, 5)])
+def test_a_gear_s_stiffness_is_told_by_its_bend(stiffness: float, gap: float, seed: int) -> None:
+    """Both encoders show the bend itself; motor torque alone names a gear of this stiffness with a number twice too wide, or not at all."""
+    s, data = arm(stiffness, gap, seed)
+    found = plays(s.robot, mounted(data, seed))
+    (bend,) = found.bends
+    p = bend.parameters["K"]
+    assert bend.label == "elasticity:lift" and bend.unit == "rad" and bend.error_after < 0.7 * bend.error_before
+    assert p.std is not None and abs(p.value - stiffness) < TWO_SIDES * p.std < 0.15 * stiffness
+    assert bool(found.ranked) == bool(gap)
+    assert found.beside(["elasticity:lift"]) == found.ranked, "what torque tells of it has numbers already"
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_encoders_that_err_are_no_soft_gears(seed: int) -> None:
+    """Off zero, of 19 bit, and 20 arcsec wrong once per turn, behind rigid gears."""
+    s = prepare(robot_from_text(ARM), ["none"], seed, "short", cad="wrong")
+    data = mounted(recorded(s, PROGRAM, 100.0, Trouble(behind=ENCODER), seed + 100), seed)
+    found = plays(s.robot, data)
+    assert not found.bends and not found.ranked
+    answer = diagnose(s.robot, data)
+    assert answer.verdict == "none" and not answer.ranked
+
+
+def test_a_simulated_cell_has_second_encoders_on_request(tmp_path: Path) -> None:
+    """And all else is the same with and without them."""
+    (tmp_path / "arm.urdf").write_text(ARM)
+    words = [
+        "simulate",
+        "--robot",
+        str(tmp_path / "arm.urdf"),
+        "--hide",
+        "elasticity:lift",
+        "--plan",
+        "short",
+        "--seed",
+        "4",
+        "--quiet",
+    ]
+    assert main([*words, "--out", str(tmp_path / "plain")]) == 0
+    assert main([*words, "--link-encoder", "--out", str(tmp_path / "both")]) == 0
+    plain, both = (read_recordings(tmp_path / x / "recording.parquet") for x in ("plain", "both"))
+    assert all(np.array_equal(a.q, b.q) and np.array_equal(a.tau, b.tau) for a, b in zip(plain, both, strict=True))
+    assert all(r.q_link is None for r in plain) and all(r.q_link is not None for r in both)
+    hidden = json.loads((tmp_path / "both" / "truth.json").read_text())["effects"][0]["params"]["stiffness_Nm_per_rad"]
+    (bend,) = plays(load_robot(tmp_path / "both" / "robot.urdf"), both).bends
+    p = bend.parameters["K"]
+    assert bend.joints == ("lift",) and p.std is not None and abs(p.value - hidden) < TWO_SIDES * p.std

@@ -34,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how much the effect raises the torque residual of its joint: about 7, 3.2 or 1.4 times",
     )  # fmt: skip
     parser.add_argument("--cad", choices=("exact", "wrong"), default="exact", help="masses of the URDF: true, or 2-5 %% off")
+    parser.add_argument(
+        "--link-encoder", action="store_true", help="encoders of 19 bit behind the gears, too: columns q_link_<joint>"
+    )
     add_output_options(parser)
 
 
@@ -53,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         raise OutputError(f"--out {out} is a file; expected a directory: choose another name")
     check_outputs(out / "recording.parquet" if out.is_dir() else out)
     robot = load_robot(args.robot)
-    scenario = prepare(robot, args.hide, args.seed, args.plan, args.size, args.cad)
+    scenario = prepare(robot, args.hide, args.seed, args.plan, args.size, args.cad, link_encoder=args.link_encoder)
     out.mkdir(exist_ok=True)
     lengths: list[int] = []
 

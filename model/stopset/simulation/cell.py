@@ -30,6 +30,7 @@ TICK = 0.001  # [s] of the control loop; the torque is held in between
 EVERY = 4  # ticks are recorded: 250 Hz, so that a recorded torque is that of its sample, not of the next
 STEPS_PER_TICK = 2  # of 0.5 ms
 RESOLUTION = 2.0**-14  # [rad]
+LINK_RESOLUTION = 2 * np.pi / 2**19  # [rad] of encoders behind the gears, where the cell has them
 SPEED_NOISE = 0.003  # [rad/s]
 SPEED_STEP, TORQUE_STEP, TEMP_STEP = 2.0**-11, 2.0**-6, 0.25  # [rad/s], [N m], [K] of what goes over the bus
 FRICTION_SPREAD = 0.02
@@ -72,6 +73,7 @@ class Cell:
     kp: Array  # (n,) [N m/rad]
     kd: Array  # (n,) [N m s/rad]
     warmth: Array  # (n,) rise over ambient under steady work [K]
+    link_encoder: bool = False  # behind every gear, beside the motor's
 
     def random(self, *what: object) -> np.random.Generator:
         """Random numbers of their own for every purpose, so that one more draw here changes nothing there."""
@@ -208,9 +210,11 @@ def record(cell: Cell, job: Measurement, temp: Array) -> Recording:
     dq, tau, warm = (np.round(x / step) * step for x, step in ((dq, SPEED_STEP), (tau, TORQUE_STEP), (warm, TEMP_STEP)))
     t = np.arange(len(q), dtype=np.float64) * (EVERY * TICK)
     asked = t >= RUN_UP - 0.5 * TICK if job.phase in ("stop0", "stop1") else np.zeros(len(t), bool)
+    behind = np.round(log.link[::EVERY] / LINK_RESOLUTION) * LINK_RESOLUTION if cell.link_encoder else None
     whole = Recording(
-        job.phase, job.suite, job.trial, 0, t, q, dq, tau, temp=warm if cell.truth.thermometer else None, stop_trigger=asked
-    )
+        job.phase, job.suite, job.trial, 0, t, q, dq, tau, temp=warm if cell.truth.thermometer else None, q_link=behind,
+        stop_trigger=asked,
+    )  # fmt: skip
     if job.phase == "static":
         still = whole.cut(len(t) - 4, len(t))
         return replace(still, t=still.t - still.t[0])

@@ -79,12 +79,14 @@ def complete_robot(robot: Robot, seed: int) -> Robot:
 
 
 def prepare(
-    robot: Robot, hide: Sequence[str] = (), seed: int = 1, plan: str = "compact", size: str = "easy", cad: str = "exact"
-) -> Scenario:
+    robot: Robot, hide: Sequence[str] = (), seed: int = 1, plan: str = "compact", size: str = "easy", cad: str = "exact",
+    *, link_encoder: bool = False,
+) -> Scenario:  # fmt: skip
     """A campaign on ``robot`` with the effects ``hide`` (``"stribeck"``, ``"stribeck:joint"``, ``"none"``) in it.
 
     ``size``: ``easy`` raises the residual of the joint to about 3.2 times its floor, ``hard`` to 1.4 times; ``cad``:
-    ``exact`` masses, or ``wrong`` by 2 to 5 %.  The same arguments give the same recordings.  Raises `EffectError`.
+    ``exact`` masses, or ``wrong`` by 2 to 5 %; ``link_encoder``: angles behind the gears are recorded, too.
+    The same arguments give the same recordings.  Raises `EffectError`.
     """
     for name, value, allowed in (("plan", plan, PLANS), ("size", size, RATIOS), ("cad", cad, CADS)):
         if value not in allowed:
@@ -102,7 +104,7 @@ def prepare(
     cell, parameters = inject(base, [s.hidden for s in sized])
     asked = {"plan": plan, "size": size, "urdf_exact": cad == "exact"}
     truth = _truth(base, cell, sized, parameters, floor, asked)
-    return Scenario(robot, cell, PLANS[plan], truth)
+    return Scenario(robot, replace(cell, link_encoder=link_encoder), PLANS[plan], truth)
 
 
 def _truth(

@@ -64,7 +64,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     if verdict == "missing" and not ranked:
         refuted = [c for c, r in zip(found.claims, x.ranked, strict=True) if r.objection]
         verdict = "unknown" if any(max(c.excess_before) > limit.SENSORS for c in refuted) else "none"
-    loose = tuple(r for r in x.plays.ranked if names is None or r.effect in names)
+    loose = tuple(r for r in x.plays.beside([r.label for r in ranked]) if names is None or r.effect in names)
     blind = (
         *blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names),
         *(b for b in x.plays.blind if names is None or b.effect in names),

@@ -48,7 +48,7 @@ def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> 
         return Estimates((), None, "nothing: no joint moves in these recordings")
     x = examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress)
     out = _of(x, [(name, _claims(x, name)) for name in names])
-    out += _loose(x, names)
+    out += _loose(x, names, [e.found.label for e in out])
     named = {e.name for e in out}
     for name in names:
         if name in named:
@@ -64,10 +64,10 @@ def _claims(x: Examination, name: str) -> tuple[int, ...]:
     return x.matching(effect, joint.split("+") if joint else None)
 
 
-def _loose(x: Examination, names: Sequence[str]) -> list[Estimate]:
+def _loose(x: Examination, names: Sequence[str], by_torque: Sequence[str]) -> list[Estimate]:
     """What angles behind the gears say: no torque shows it, so no torque error falls."""
     error = x.found.before.whole
-    return [Estimate(name, r, error, error) for name in names for r in x.plays.ranked if name in (r.effect, r.label)]
+    return [Estimate(name, r, error, error) for name in names for r in x.plays.beside(by_torque) if name in (r.effect, r.label)]
 
 
 def _of(x: Examination, wanted: Sequence[tuple[str, tuple[int, ...]]]) -> list[Estimate]:

@@ -1,15 +1,17 @@
-"""Play in a gear, where a second encoder reads the angle behind it: there the torque of the link jumps it from one flank to the other.
+"""Play and bend of a gear, where a second encoder reads the angle behind it: there the link's torque jumps it from one flank to the other.
 
 What the link lies off its motor is the gear's bend, in proportion to the link's torque; with play it is half the gap more, on the side
 to which that torque pushes.  Beside both a constant, the encoders' once-per-turn errors, friction behind the gear and readings of
 another moment are fitted.  A gear that is merely soft about zero bends smoothly there: where a smooth curve explains as much there is no
-gap.  The motor's torque tells none of it: see docs/diagnosis.md.
+gap.  The motor's torque tells none of it: see docs/diagnosis.md.  The gear's stiffness is the link's torque over that bend, known no better than
+the description tells that torque.
 
 Source: Nordin & Gutman (2002), Controlling mechanical systems with backlash: a survey.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +20,7 @@ from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Parameter, Ranked
 from stopset.offline.diagnose.explain.identifiable import Blind
+from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
 from stopset.offline.diagnose.standing import moves
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recordings
@@ -36,10 +39,15 @@ STILL = 0.015  # [rad/s] below which a link's friction may point anywhere
 
 @dataclass(frozen=True, slots=True)
 class Plays:
-    """What the second encoders say: gears with play, and joints of which nothing could be said."""
+    """What the second encoders say: gears with play, joints of which nothing could be said of it, and gears that bend."""
 
     ranked: tuple[Ranked, ...]
     blind: tuple[Blind, ...]
+    bends: tuple[Ranked, ...] = ()
+
+    def beside(self, named: Collection[str]) -> tuple[Ranked, ...]:
+        """What is to be named with the labels that torque ``named``: of a gear that it told to swing the numbers are its own."""
+        return (*self.ranked, *(r for r in self.bends if r.label not in named))
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,26 +60,34 @@ class _Behind:
     dq: Array
     part: Array
 
+    @property
+    def two_sided(self) -> bool:
+        return min(int((self.tau > 0).sum()), int((self.tau < 0).sum())) >= limit.PLAY_ROWS
+
     def columns(self, *more: Array) -> Array:
         fixed = (np.ones_like(self.x), np.sin(self.q), np.cos(self.q), self.dq, np.tanh(self.dq / STILL), self.tau)
         return np.stack([*fixed, *more], axis=1)
 
 
 def plays(robot: Robot, recordings: Recordings) -> Plays:
-    """Gears with play at the joints whose angle behind the gear is recorded; ``robot``: whose rigid body tells the links' torques."""
-    effect = next(e for e in catalogue().values() if e.role == "play")
-    unread, one_sided, ranked = list[str](), list[str](), list[Ranked]()
+    """Gears with play, and that bend, of joints whose angle behind the gear is recorded; ``robot``: whose rigid body tells the links' torques."""
+    effect, swings = (next(e for e in catalogue().values() if e.role == role) for role in ("play", "swing"))
+    unread, one_sided, ranked, bends = list[str](), list[str](), list[Ranked](), list[Ranked]()
     for j, rows in enumerate(_rows(robot, recordings)):
         joint = robot.joints[j]
+        if rows is not None and (bend := _bend(swings, joint, rows)) is not None:
+            bends.append(bend)
         if rows is None:
             unread.append(joint)
-        elif min(int((rows.tau > 0).sum()), int((rows.tau < 0).sum())) < limit.PLAY_ROWS:
+        elif not rows.two_sided:
             one_sided.append(joint)
         elif (found := _gap(effect, joint, rows)) is not None:
             ranked.append(found)
     reasons = ((UNREAD, unread), (ONE_SIDED, one_sided))
     return Plays(
-        tuple(ranked), tuple(Blind(effect.name, tuple(where), why, effect.distinguished_by) for why, where in reasons if where)
+        tuple(ranked),
+        tuple(Blind(effect.name, tuple(where), why, effect.distinguished_by) for why, where in reasons if where),
+        tuple(bends),
     )
 
 
@@ -105,6 +121,45 @@ def _sided(rows: Array) -> _Behind:
     tau = rows[1]
     certain = np.abs(tau) > limit.PLAY_CROSSING * np.sqrt(np.mean(tau**2))
     return _Behind(*rows[:, certain])
+
+
+def _bend(effect: Effect, joint: str, rows: _Behind) -> Ranked | None:
+    """The stiffness of one joint's gear; None where it is not told to bend."""
+    number, parts = np.unique(rows.part, return_inverse=True)
+    if len(number) < FEWEST:
+        return None
+    # encoders err twice per turn, too, and gravity's torque has that period beside others
+    errs = (np.sin(2 * rows.q), np.cos(2 * rows.q), *([-0.5 * np.sign(rows.tau)] if rows.two_sided else []))
+    soft = rows.columns(*errs)
+    at = rows.columns().shape[1] - 1  # the column of the link's torque
+    stiff = np.delete(soft, at, axis=1)
+    per, left = np.empty(len(number)), np.empty((2, len(rows.x)))
+    for k in range(len(number)):
+        out = parts == k
+        for model, A in enumerate((stiff, soft)):
+            theta = np.linalg.lstsq(A[~out], rows.x[~out], rcond=None)[0]
+            left[model, out] = rows.x[out] - A[out] @ theta
+        per[k] = -theta[at]
+    bend = -float(np.linalg.lstsq(soft, rows.x, rcond=None)[0][at])  # [rad/(N m)]
+    scatter = float(np.sqrt((len(per) - 1) * np.mean((per - per.mean()) ** 2)))
+    before, after = (float(x) for x in np.sqrt(np.mean(left**2, axis=1)))
+    stiffness, damping = effect.shapes
+    if (
+        bend < limit.PLAY_SURE * scatter
+        or after > (1 - limit.PLAY_LOWERED) * before
+        or not stiffness.lo < 1 / bend < stiffness.hi
+    ):
+        return None
+    # what all parts err by alike: the description, and torque that is the motor's angle's, a bend apart from the link's
+    alike = limit.PLAY_CROSSING / TWO_SIDES, bend * float(np.sqrt(np.mean(rows.tau**2)))
+    std = float(np.linalg.norm([scatter / bend, *alike])) / bend
+    numbers = {t.symbol: Parameter(t.typical, t.unit, None) for t in effect.terms}
+    numbers |= {stiffness.symbol: Parameter(1 / bend, stiffness.unit, std)}
+    numbers |= {damping.symbol: Parameter(damping.grid[0], damping.unit, None)}
+    return Ranked(
+        effect.name, (joint,), (bend / scatter) ** 2, before, after, numbers, "link minus motor angle over the link's torque", effect.says,
+        unit="rad",
+    )  # fmt: skip
 
 
 def _gap(effect: Effect, joint: str, rows: _Behind) -> Ranked | None:
