@@ -23,7 +23,7 @@ from float32 import outward
 from monitor_process import compiled, environment
 from state_messages import pack
 from stopset.monitor.authentication import Key, KeyFileError, Keys, load_keys
-from stopset.monitor.consumer import CHALLENGE_EVERY, MS, PROOF_LIFE, Consumer, Expected, Fault
+from stopset.monitor.consumer import CHALLENGE_EVERY, DRIFT_PPM, MS, PROOF_LIFE, Consumer, Expected, Fault
 from stopset.monitor.layout import LENGTH, State, unpack
 
 KEY = Key(3, bytes(range(32)))
@@ -204,6 +204,21 @@ def test_the_clocks_may_drift() -> None:
         c.take(message(now, seq, t_pub_ns=made, t_meas_ns=made - 5 * MS, nonces=(nonce,)), now + underway)
         assert c.state(now + underway) is State.OK
         assert c._hi + c._drift(now) >= AHEAD + (now - T) // 10_000
+
+
+@pytest.mark.parametrize("ppm", [DRIFT_PPM, -DRIFT_PPM])
+def test_clocks_at_the_limit_of_their_drift_make_no_data_younger(ppm: int) -> None:
+    """While an answer is under way they part too: data were younger than true by that, 10 us at 20 ms."""
+    c, rng, nonce, last = proven(), random.Random(2), 0, T
+    for k in range(1, 3000):
+        now = T + 20 * k * MS
+        if (asked := c.challenge(now, k)) is not None:
+            nonce = int.from_bytes(asked, "little")
+        made = now + AHEAD + (now - T) * ppm // 1_000_000
+        last = max(last, now + rng.randrange(20 * MS))
+        c.take(message(now, 10 + k, t_pub_ns=made, t_meas_ns=made - 5 * MS, nonces=(nonce,)), last)
+        ahead = AHEAD + (last - T) * ppm // 1_000_000
+        assert c._lo - c._drift(last) <= ahead <= c._hi + c._drift(last)
 
 
 def test_every_state_but_ok_and_degraded_passes_and_nonsense_is_fault() -> None:

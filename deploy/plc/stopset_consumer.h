@@ -101,9 +101,10 @@ static int stopset_made_by(const stopset_key *key, const uint8_t *data) {
 }
 
 /* ---- the consumer ---- */
-static int64_t stopset_drift(const stopset_consumer *c, int64_t now) {
-  return now > c->proved ? (now - c->proved) * STOPSET_DRIFT_PPM / 1000000 : 0;
-}
+/* by how much two clocks part in `span` ns, at most */
+static int64_t stopset_drift_of(int64_t span) { return (span > 0 ? span * STOPSET_DRIFT_PPM / 1000000 : 0) + 1; }
+
+static int64_t stopset_drift(const stopset_consumer *c, int64_t now) { return stopset_drift_of(now - c->proved); }
 
 /* The nonce to send now; 0 when it is not time. */
 static uint64_t stopset_challenge(stopset_consumer *c, int64_t now, uint64_t random) {
@@ -128,7 +129,8 @@ static int stopset_stranger(const stopset_consumer *c, const stopset_state *m, c
 }
 
 static void stopset_prove(stopset_consumer *c, const stopset_state *m, int64_t now) {
-  int64_t lo = (int64_t)m->t_pub_ns - now, hi = (int64_t)m->t_pub_ns - c->asked;
+  int64_t since = stopset_drift_of(now - c->asked); /* it was made between the two, and the clocks have parted further since */
+  int64_t lo = (int64_t)m->t_pub_ns - now - since, hi = (int64_t)m->t_pub_ns - c->asked + since;
   if (c->have_boot && m->boot_id == c->boot && c->settled) { /* what was known before still holds, but for the drift since */
     int64_t drift = stopset_drift(c, now), before_lo = c->lo - drift, before_hi = c->hi + drift;
     if (before_lo < lo) before_lo = lo;

@@ -55,6 +55,11 @@ SAYS = {
 }  # fmt: skip
 
 
+def _drift_of(span: int) -> int:
+    """By how much [ns] two clocks part in ``span`` [ns], at most."""
+    return max(0, span) * DRIFT_PPM // 1_000_000 + 1
+
+
 @dataclass(frozen=True, slots=True)
 class Expected:
     """Whose messages are wanted; nothing has a default. ``model_hash``, ``config_hash``: None = taken as they come, which a
@@ -149,7 +154,8 @@ class Consumer:
         return Fault.NONE
 
     def _prove(self, m: dict[str, Any], now: int) -> None:
-        lo, hi = m["t_pub_ns"] - now, m["t_pub_ns"] - self._asked
+        since = _drift_of(now - self._asked)  # it was made between the two, and the clocks have parted further since
+        lo, hi = m["t_pub_ns"] - now - since, m["t_pub_ns"] - self._asked + since
         if m["boot_id"] == self._boot and self._settled:  # what was known before still holds, but for the drift since
             drift = self._drift(now)
             before = max(lo, self._lo - drift), min(hi, self._hi + drift)
@@ -159,7 +165,7 @@ class Consumer:
         self._answered, self._nonce = self._nonce, 0
 
     def _drift(self, now: int) -> int:
-        return max(0, now - self._proved) * DRIFT_PPM // 1_000_000
+        return _drift_of(now - self._proved)
 
     def _refuse(self, fault: Fault, now: int) -> Fault:
         self.refused[fault] += 1

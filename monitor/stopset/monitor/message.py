@@ -58,7 +58,7 @@ class StateMessage:
             "state": turn.state.value, "conformance": CODES[v.conformance] if v else 0, "flags": turn.flags,
             "violation_count": min(latch.count, U32), "oldest_age": v.oldest if v else 0.0, "violation_class": latch.kind.code,
             "first_joint": joints.index(joint) + 1 if joint in joints else 0,
-            "room_min": v.room.min() if v and v.room is not None else -np.inf,
+            "room_min": min(v.room.tolist()) if v and v.room is not None else -np.inf,  # the array's own asks the system for memory
             "holding_margin_min": min([x.margin for x in turn.numbers.values()], default=-np.inf),
             "bad_nodes": s.bad_nodes if s else 0, "dropped": observed.dropped & U32,
         }  # fmt: skip
