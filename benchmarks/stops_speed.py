@@ -1,6 +1,6 @@
 """How fast stop bounds are: a box for the monitor, a state, the first call; beside one simulated stop.
 
-    python benchmarks/stops_speed.py [--ramps | --working | --ranges | --energy [MODEL ...]]
+    python benchmarks/stops_speed.py [--ramps | --working | --ranges | --alike | --energy [MODEL ...]]
 
 CPU time of this process, so that other work on the machine counts less; medians.
 """
@@ -27,6 +27,7 @@ from stop_certificate import certify
 from stop_sampling import DT
 from stop_tubes import tube_of
 from stopset.artifact import load_model
+from stopset.core.library import lib
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.parts import ALL_PARTS
@@ -163,7 +164,7 @@ def ranges(states: int = 60) -> None:
             setting = StopBounds.of(model, (least * rated, rated)).setting
             assert setting is not None
             parts, whole = CompiledStops.of(setting), CompiledStops.of(setting)
-            parts.struct.ranged, whole.struct.ranged = 1, 0
+            parts.struct.ranged, whole.struct.ranged = lib.STOPSET_SOME_PAYLOADS, lib.STOPSET_ONE_PAYLOAD
             rng, ratios, spent = np.random.default_rng(5), [], np.zeros(2)
             for _ in range(states):
                 q, dq, took, found = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top, [], []
@@ -182,6 +183,51 @@ def ranges(states: int = 60) -> None:
                 print(f"  {which}: {angle:.2f}, {tool:.2f}; {spent[0] / spent[1]:.1f}", flush=True)
 
 
+def alike(states: int = 40) -> None:
+    """Payloads known to 2 %: one tube of finer steps beside all of them and two parts of them, where the kinetic energy has to bound."""
+    print(
+        f"payloads from 98 to 100 % of the rated one, {2 * states} states, half of them boxes of +-0.01 rad and +-0.05 rad/s: one tube of finer "
+        "steps over all and two parts: median, 95 of 100 and largest of angle; time; tool's way, and how many of all are beyond 1.05; "
+        "times the processor time"
+    )
+    every, spent = [], np.zeros(2)
+    for name, (model, top) in arms().items():
+        rated, n, rng, ratios, took = model.domain.payload[1], model.n, np.random.default_rng(5), [], np.zeros(2)
+        setting = StopBounds.of(model, (0.98 * rated, rated)).setting
+        assert setting is not None
+        fine, parts = CompiledStops.of(setting), CompiledStops.of(setting)
+        assert fine.struct.ranged == lib.STOPSET_ALIKE_PAYLOADS
+        parts.struct.ranged = lib.STOPSET_SOME_PAYLOADS
+        for k in range(2 * states):
+            q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top
+            box = (np.full(n, 0.01), np.full(n, 0.05)) if k % 2 else (None, None)
+            found, each = [], np.zeros(2)
+            for i, core in enumerate((fine, parts)):
+                start = time.thread_time_ns()
+                found.append(core.bound(q, dq, "0", *box))
+                each[i] = time.thread_time_ns() - start
+            a, b = found
+            if a is None or b is None or np.array_equal(a.time, b.time):
+                continue
+            took += each
+            angle = max(a.forward.max(), a.back.max()) / max(b.forward.max(), b.back.max())
+            ratios.append([angle, a.time.max() / b.time.max(), a.tool[0] / b.tool[0]])
+        if len(ratios) >= 10:
+            print(
+                f"  {name}, {rated:.3g} kg, {len(ratios)} of {2 * states}: {spread_of(np.array(ratios))}; {took[0] / took[1]:.2f}",
+                flush=True,
+            )
+        every += ratios
+        spent += took
+    print(f"  all, {len(every)}: {spread_of(np.array(every))}; {spent[0] / spent[1]:.2f}")
+
+
+def spread_of(ratios: Array) -> str:
+    """Of each column: median, 95 of 100, largest, share beyond 1.05."""
+    columns = [(*np.percentile(x, [50, 95, 100]), np.mean(x > 1.05)) for x in ratios.T]
+    return "; ".join(f"{a:.2f}, {b:.2f}, {c:.2f} ({d:.1%})" for a, b, c, d in columns)
+
+
 def energy(files: list[str], states: int = 60) -> None:
     """What of a bound is the kinetic energy's tube that bounds it, in the region that holds it: what is left if nothing else were tried."""
     print(
@@ -196,7 +242,7 @@ def energy(files: list[str], states: int = 60) -> None:
         assert s is not None
         within = np.clip(np.array([d.q.lo, d.q.hi]), -np.pi, np.pi).clip(*model.robot.q_limit.T)
         core = CompiledStops.of(s)
-        core.struct.ranged = 0
+        core.struct.ranged = lib.STOPSET_ONE_PAYLOAD
         for _ in range(states):
             q, dq = rng.uniform(*within), rng.uniform(d.dq.lo, d.dq.hi)
             if loop.bound(q, dq).layer != "energy":
@@ -251,6 +297,9 @@ def main() -> None:
     which.add_argument("--ramps", action="store_true", help="STOP 1 that may fail")
     which.add_argument("--working", action="store_true", help="STOP 1 that works")
     which.add_argument("--ranges", action="store_true", help="ranges of payloads in two parts beside all of them at once")
+    which.add_argument(
+        "--alike", action="store_true", help="payloads known to 2 %% in one tube of finer steps beside two parts of them"
+    )
     which.add_argument("--energy", nargs="*", metavar="MODEL", help="the kinetic energy's tubes alone, of these models too")
     args = parser.parse_args()
     if args.energy is not None:
@@ -263,7 +312,9 @@ def main() -> None:
         working()
     if args.ranges:
         ranges()
-    if args.ramps or args.working or args.ranges or args.energy is not None:
+    if args.alike:
+        alike()
+    if args.ramps or args.working or args.ranges or args.alike or args.energy is not None:
         return
     bounds = StopBounds.of(prbt_like(), (0.0, 0.25))
     q = np.array([0.1, 0.5, 0.3, -0.4, 0.2, 0.1])

@@ -13,6 +13,7 @@ import pytest
 from core_calls import inertia_box
 from core_plants import LYING, UPRIGHT, bodies, chain_of, planar, plant_of, power_off
 from stop_sampling import sample_stops
+from stopset.core.library import lib
 from stopset.fmu.stops import bounds_of
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.cartesian import SLICES, reached, slices
@@ -256,3 +257,25 @@ def test_a_range_of_payloads_has_the_bound_of_its_parts_or_of_all_of_it_where_th
         for name in Stopped.__slots__:
             assert np.array_equal(getattr(a, name), getattr(worst if less else b, name))
     assert 4 <= by_parts < 7
+
+
+def test_payloads_that_are_alike_are_bounded_by_one_tube_of_finer_steps() -> None:
+    """Of a load known to 2 % the core and Python's loop say the same, parts or not; all of the range in steps as coarse as elsewhere lets the arm go
+    farther in most states."""
+    model = random_arm(5, 0)
+    rated, rng, n = model.domain.payload[1], np.random.default_rng(5), model.n
+    alike, some = (StopBounds.of(model, (share * rated, rated), fast=True) for share in (0.98, 0.97))
+    assert alike.setting is not None and some.setting is not None
+    assert (alike.setting.payloads, some.setting.payloads) == (lib.STOPSET_ALIKE_PAYLOADS, lib.STOPSET_SOME_PAYLOADS)
+    core, coarse = CompiledStops.of(alike.setting), CompiledStops.of(alike.setting)
+    coarse.struct.ranged = lib.STOPSET_ONE_PAYLOAD
+    nearer = 0
+    for _ in range(8):
+        q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
+        a, b, loop = core.bound(q, dq), coarse.bound(q, dq), alike.bound(q, dq)
+        assert a is not None and b is not None and loop.forward is not None and loop.back is not None
+        assert np.array_equal(a.forward, loop.forward) and np.array_equal(a.back, loop.back) and np.array_equal(a.time, loop.time)
+        nearer += bool(max(a.forward.max(), a.back.max()) < max(b.forward.max(), b.back.max()))
+    assert nearer >= 6
+    weak = replace(alike.setting, plant=alike.setting.plant._replace(brake_lo=0.01 * alike.setting.plant.brake_lo))
+    assert CompiledStops.of(weak).bound(q, dq) is None  # nor have its parts a bound

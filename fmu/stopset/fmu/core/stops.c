@@ -108,7 +108,7 @@ static StopsetStops carrying(const StopsetState *s, double pi[NJ][10], double ha
     }
     out.plant.arm.pi = pi[0];
     out.plant.pi_half = half[0];
-    out.ranged = lo < hi;
+    out.ranged = stopset_payloads(lo, hi);
     return out;
 }
 

@@ -816,8 +816,10 @@ STOPSET_API double stopset_expected_stop(const StopsetPlant *plant, const double
 
 #define STOPSET_STOP_KNOTS 100       /* time steps over the expected stop, and where the kinetic energy has to help */
 #define STOPSET_STOP_ENERGY_KNOTS 16
+#define STOPSET_STOP_ALIKE_KNOTS 28  /* and then where payloads are alike: one tube of finer steps in place of three */
 #define STOPSET_STOP_CLOSING 35      /* at least so many of them from when the first brake may close until all have, in each case */
 #define STOPSET_STOP_ENERGY_CLOSING 20
+#define STOPSET_STOP_ALIKE_CLOSING 35
 #define STOPSET_STOP_PATIENCE 6      /* times the expected stop before a tube is called endless, in each case */
 #define STOPSET_STOP_MORE_PATIENCE 30
 #define STOPSET_STOP_WINDOWS 2       /* of the brakes' common delay */
@@ -881,8 +883,11 @@ typedef struct {
     double delay_spread;                /* [s] the brakes' delays, less lag, differ by no more; negative: they are independent */
     const double *tool;          /* (3,) [m] in the last link's frame */
     const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
-    int32_t ranged;              /* pi_half is a range of payloads, which two parts of it may bound more tightly */
+    int32_t ranged;              /* what stopset_payloads says of the range that pi_half is of */
 } StopsetStops;
+/* Payloads from lo to hi [kg]: one, some, which two parts of their range may bound more tightly, or so much alike that finer steps bound all more tightly. */
+enum { STOPSET_ONE_PAYLOAD, STOPSET_SOME_PAYLOADS, STOPSET_ALIKE_PAYLOADS };
+STOPSET_API int stopset_payloads(double lo, double hi);
 /* pi, half (n, 10) [kg, kg m, kg m^2] of a part (0: the heavier, 1) of what pi_half allows: every payload of it lies in one of the two. */
 STOPSET_API void stopset_payload_part(const StopsetPlant *plant, int part, double *pi, double *half);
 

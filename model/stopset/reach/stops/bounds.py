@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stopset.artifact import Model
+from stopset.core.library import lib
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, reached, slices, swept_capsules
 from stopset.reach.stops.compiled import ramp_torque
@@ -176,11 +177,13 @@ class StopBounds:
 
     def _tubes_from(self, start: Start) -> list[Tube]:
         """Tubes of a STOP 0. A payload is one mass throughout a stop, so it lies in one of two parts of its range: where the kinetic energy has to
-        bound the heaviest and the lightest arm at once, several times too far for each, those of both parts hold it, too."""
+        bound the heaviest and the lightest arm at once, several times too far for each, those of both parts hold it, too; of payloads that
+        are alike they are asked where there is no other bound."""
         assert self.setting is not None
         whole = tubes_of(self.setting, start, self.pieces, fast=self.fast)
         proven = whole[-1].end == OK
-        if not self.parts or (proven and not any(t.energetic for t in whole)):
+        alike = self.setting.payloads == lib.STOPSET_ALIKE_PAYLOADS
+        if not self.parts or (proven and (alike or not any(t.energetic for t in whole))):
             return whole
         far, found = self._tool_travel(whole, start) if proven else np.inf, list[Tube]()
         for part in self.parts:

@@ -79,9 +79,14 @@ class Setting:
         return Box(-self.noise.hi, -self.noise.lo)
 
     @property
+    def payloads(self) -> int:
+        """One, some, or so much alike that parts of their range are asked only where all of it has no bound: as the core says."""
+        return int(lib.stopset_payloads(*self.payload))
+
+    @property
     def parts(self) -> tuple[Setting, ...]:
         """Two settings, the heavier first, of which every payload of the range lies in one; none where it is one payload."""
-        if self.payload[0] == self.payload[1]:
+        if self.payloads == lib.STOPSET_ONE_PAYLOAD:
             return ()
         out, (struct, _held) = [], plant_struct(self.plant)
         for k in range(2):

@@ -32,9 +32,10 @@ class Knots(NamedTuple):
 KNOTS = Knots(200, 70)  # of a table; the bound's time is coarse by one of them
 ENERGY_KNOTS = Knots(200, 200)  # where the kinetic energy has to help
 # in a fast loop: of a certificate (bounds under 1 % wider, in half the time); where the kinetic energy has to help (in a sixth of
-# the time); windows of the brakes' common delay (half the angle of one where the energy has to help)
+# the time), and the same for payloads that are alike; windows of the brakes' common delay (half the angle of one where the energy has to help)
 FAST_KNOTS = Knots(lib.STOPSET_STOP_KNOTS, lib.STOPSET_STOP_CLOSING)
 FAST_ENERGY_KNOTS = Knots(lib.STOPSET_STOP_ENERGY_KNOTS, lib.STOPSET_STOP_ENERGY_CLOSING)
+FAST_ALIKE_KNOTS = Knots(lib.STOPSET_STOP_ALIKE_KNOTS, lib.STOPSET_STOP_ALIKE_CLOSING)
 FAST_WINDOWS: int = lib.STOPSET_STOP_WINDOWS
 REGIONS = 5  # that a tube is tried in, each larger than what the last led to
 COARSE = 4  # times fewer knots of the tube that finds a region
@@ -144,7 +145,8 @@ def tubes_of(
     proof that there is.
     """
     lasts = expected_stop(setting.plant, start.q, start.fastest)
-    knots = (FAST_KNOTS, FAST_ENERGY_KNOTS) if fast else (KNOTS, ENERGY_KNOTS)
+    loop = FAST_KNOTS, FAST_ALIKE_KNOTS if setting.payloads == lib.STOPSET_ALIKE_PAYLOADS else FAST_ENERGY_KNOTS
+    knots = loop if fast else (KNOTS, ENERGY_KNOTS)
     regions = [Region.first(setting, start.fastest, lasts) for _ in knots]  # the kinetic energy's tubes lead farther
 
     def one(plant: Plant, *, energetic: bool) -> Tube:

@@ -156,7 +156,11 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("stop ramp", ramp, "KNOTS STILL"),
     ("stop gravity", gravity, "GRID OUTWARD"),
     ("stop tube", tube, "PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
-    ("stop tubes", tubes, "KNOTS ENERGY_KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE"),
+    (
+        "stop tubes",
+        tubes,
+        "KNOTS ENERGY_KNOTS FAST_KNOTS FAST_ENERGY_KNOTS FAST_ALIKE_KNOTS FAST_WINDOWS REGIONS COARSE PATIENCE MORE_PATIENCE",
+    ),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.SETTLED)),
     ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP ONE_DIRECTION GOLDEN"),

@@ -9,9 +9,10 @@
 
 enum { KNOTS = STOPSET_STOP_KNOTS, ENERGY_KNOTS = STOPSET_STOP_ENERGY_KNOTS, WINDOWS = STOPSET_STOP_WINDOWS };
 enum { CLOSING = STOPSET_STOP_CLOSING, ENERGY_CLOSING = STOPSET_STOP_ENERGY_CLOSING };
+enum { ALIKE_KNOTS = STOPSET_STOP_ALIKE_KNOTS, ALIKE_CLOSING = STOPSET_STOP_ALIKE_CLOSING };
 enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
 enum { REGIONS = 5, COARSE = 4 }; /* that a tube is tried in; times fewer knots of the tube that finds one */
-enum { LONG = KNOTS * PATIENCE + CLOSING, LONG_ENERGY = ENERGY_KNOTS * MORE_PATIENCE + ENERGY_CLOSING, STEPS = LONG > LONG_ENERGY ? LONG : LONG_ENERGY };
+enum { LONG = KNOTS * PATIENCE + CLOSING, LONG_ENERGY = ALIKE_KNOTS * MORE_PATIENCE + ALIKE_CLOSING, STEPS = LONG > LONG_ENERGY ? LONG : LONG_ENERGY };
 static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone, or wider than it */
 
 int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + SLICES * (7 * n + 6 * n + 8) + 1; }
@@ -160,8 +161,8 @@ static int far_seeing(const StopsetTorques *torques, int n) {
 /* A continuous motion that stays inside a region while it has not left cannot leave. */
 int stops_march(StopAsk *a, const double *delay_lo, const double *delay_hi, int energetic, Region *region, double fastest[SN]) {
     const StopsetStops *s = a->stops;
-    const int n = s->plant.arm.n, knots = energetic ? ENERGY_KNOTS : KNOTS, patience = energetic ? MORE_PATIENCE : PATIENCE;
-    const int closing = energetic ? ENERGY_CLOSING : CLOSING;
+    const int n = s->plant.arm.n, patience = energetic ? MORE_PATIENCE : PATIENCE;
+    const int knots = !energetic ? KNOTS : a->fine ? ALIKE_KNOTS : ENERGY_KNOTS, closing = !energetic ? CLOSING : a->fine ? ALIKE_CLOSING : ENERGY_CLOSING;
     double q_lo[SN], q_hi[SN], v_lo[SN], v_hi[SN], moved[SN], first = STOPS_INF, last = -STOPS_INF;
     for (int i = 0; i < n; i++) {
         first = least(first, delay_lo[i]);
@@ -268,7 +269,7 @@ static int rests(const StopsetStops *stops, const StopsetStates *from, double *w
     int by = BY_SPEEDS;
     double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN];
     Region region[2];
-    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0, stops->ranged == STOPSET_ALIKE_PAYLOADS};
     stops_begin(&a, work, out);
     for (int i = 0; i < n; i++) speed[i] = size_of(from->dq[i]) + from->dq_radius[i];
     a.lasts = stopset_expected_stop(&stops->plant, from->q, speed);
@@ -283,6 +284,13 @@ static int rests(const StopsetStops *stops, const StopsetStates *from, double *w
         stops_widen(&a, from->q, from->q_radius, fastest, out);
     }
     return by;
+}
+
+static const double ALIKE = 0.025; /* share of the largest payload by which others are less */
+
+int stopset_payloads(double lo, double hi) {
+    if (!(lo < hi)) return STOPSET_ONE_PAYLOAD;
+    return hi - lo <= ALIKE * hi ? STOPSET_ALIKE_PAYLOADS : STOPSET_SOME_PAYLOADS;
 }
 
 static const double LIGHTER = 2.0 / 3.0; /* of a range is its lighter part: of 1/3, 1/2, 2/3 what bounds a UR10e-like arm most tightly */
@@ -315,7 +323,7 @@ int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, doub
     const int n = stops->plant.arm.n;
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     const int by = rests(stops, from, work, out);
-    if (by == BY_SPEEDS || !stops->ranged) return by == NOWHERE;
+    if (by == BY_SPEEDS || stops->ranged == STOPSET_ONE_PAYLOAD || (by == BY_ENERGY && stops->ranged == STOPSET_ALIKE_PAYLOADS)) return by == NOWHERE;
     /* The kinetic energy bounds the heaviest and the lightest arm at once, several times too far for each. A payload is one mass throughout a stop,
      * so it lies in one of the parts, and the worse of their bounds holds, too: taken where the tool gets less far. */
     const double far = by == NOWHERE ? STOPS_INF : out->tool[0];
@@ -323,7 +331,7 @@ int stopset_power_off(const StopsetStops *stops, const StopsetStates *from, doub
     const StopsetBound part[2] = {{room[0][0], room[0][1], room[0][2], room[0][3], tool[0]}, {room[1][0], room[1][1], room[1][2], room[1][3], tool[1]}};
     for (int k = 0; k < 2; k++)
         if (!part_rests(stops, k, from, work, part + k) || tool[k][0] >= far) return by == NOWHERE;
-    stops_begin(&(StopAsk){stops, *from, 0.0, 0, 0, {0}, 0}, work, out);
+    stops_begin(&(StopAsk){stops, *from, 0.0, 0, 0, {0}, 0, 0}, work, out);
     for (int k = 0; k < 2; k++) worse(n, out, part + k);
     return STOPSET_OK;
 }

@@ -144,7 +144,7 @@ int stopset_working_ramp(const StopsetStops *stops, const StopsetRamp *r, int st
     if (n < 1 || n > SN) return -STOPSET_TOO_MANY_JOINTS;
     double fastest[SN], end[SN], half[SN], lo[SN], hi[SN], friction[6 * SN], after = 0.0;
     StopsetPlant plant;
-    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0, 0};
     stops_begin(&a, work, out);
     ramp_tube(&a, r, fastest);
     for (int i = 0; i < n; i++) {
@@ -256,7 +256,7 @@ static int fall(StopAsk *a, const StopsetRamp *r, const Cell *cell, const Stopse
 /* All cells' stops, as in stopset.reach.stops.failed with the budget of a loop; whether every one comes to rest. */
 static int falls(const StopsetStops *stops, const StopsetRamp *r, const StopsetStates *from, int energetic, double *work, const StopsetBound *out) {
     Cell cell[SLICES + 1];
-    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0};
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0, 0};
     const int count = cells_of(r, stops->plant.arm.n, from, energetic ? SLICES : FEW_SLICES, cell);
     stops_begin(&a, work, out);
     for (int k = 0; k < count; k++)
