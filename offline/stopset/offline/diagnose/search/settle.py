@@ -13,6 +13,7 @@ from stopset.effects import get
 from stopset.effects.base import Shape
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
@@ -241,6 +242,37 @@ def _refitted(now: Hypothesis, s: Scored, hyper: Hyper) -> Settled:
     as_it_is = replace(off, forms=())
     mended = with_it.evidence(as_it_is) + with_it.view().project(as_it_is)[0].rss - q.rss
     return Settled(s, with_it, h, p, evidence, taken_up, mended)
+
+
+def other_gears(now: Hypothesis, gear: Settled, hyper: Hyper) -> tuple[Scored, ...]:
+    """Gears of other joints that explain nearly as much as a claimed one whose link swings faster than was looked for.
+
+    Its stiffness came out beyond `SWINGS`, where no other joint's was asked; a gear shakes its neighbours at its own frequency.
+    """
+    c = gear.candidate
+    if c.effect.role != "swing" or within_reach(now.engine, c):
+        return ()
+    M = np.median(np.diagonal(now.engine.source.mass, axis1=1, axis2=2), axis=0)
+    ratio = M / M[c.joints[0]]
+    found = []
+    for j in (j for j, x in enumerate(ratio) if x > 0 and j not in c.joints and now.engine.rows[j].size > limit.FEWEST_ROWS):
+        s = score_new(
+            now,
+            c.effect,
+            (j,),
+            {**gear.scored.candidate.shapes, "K": c.shapes["K"] * ratio[j], "D": c.shapes["D"] * ratio[j]},
+            hyper,
+        )
+        if s is not None and s.score > 0:
+            found.append(refine(now, s, hyper))
+    least = gear.scored.score - gear.taken_up - limit.THRESHOLD
+    return tuple(s for s in found if s.admissible and s.score > least)
+
+
+def within_reach(engine: Engine, c: Candidate) -> bool:
+    """Whether a gear's link swings as slowly as was looked for."""
+    M = float(np.median(engine.source.mass[:, c.joints[0], c.joints[0]]))
+    return c.shapes["K"] < limit.SWINGS[1] ** 2 * M
 
 
 def _plainer(now: Hypothesis, best: Settled, hyper: Hyper) -> list[Settled]:
