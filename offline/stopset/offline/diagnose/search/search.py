@@ -68,9 +68,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     left: list[Scored] = []
     first = before = held_out(now, hyper)
     refused = set[tuple[str, tuple[int, ...]]]()
-    turn = 0
-    while turn < limit.MAX_CLAIMS:
-        turn += 1
+    for _ in range(limit.MAX_CLAIMS):
         found = engine.add_all(ripples.strongest(now, p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
