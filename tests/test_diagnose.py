@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -351,7 +352,8 @@ def test_a_law_that_predicts_nothing_is_no_claim() -> None:
         Candidate(get(name), (1,), {}, columns, sd) for name in ("cubic_viscous", "rotor_inertia", "elasticity")
     )
     beside, elsewhere = (Candidate(get("stribeck"), (j,), {}, columns, sd) for j in (1, 0))
-    base, before = Hypothesis(None), np.array([0.3, 0.1069])  # type: ignore[arg-type]  # no delay is judged: no engine is asked
+    described, modelled = (Hypothesis(SimpleNamespace(modelled=known)) for known in (False, True))  # type: ignore[arg-type]
+    base, before = described, np.array([0.3, 0.1069])
     hyper = Hyper((), (), 1.0)
 
     def claimed(c: Candidate, after: np.ndarray, *earlier: Candidate, left: tuple[float, ...] = ()) -> bool:
@@ -361,6 +363,9 @@ def test_a_law_that_predicts_nothing_is_no_claim() -> None:
     assert not claimed(cubic, before * 0.985)
     assert claimed(cubic, before / np.sqrt(2))  # what raised the residual by 1.4
     assert claimed(rotor, before)
+    base = modelled  # the rigid body is known far better than a description's
+    assert not claimed(rotor, before * 0.992) and claimed(rotor, before * 0.97)
+    base = described
     assert claimed(cubic, before * 0.97, elsewhere) and not claimed(cubic, before * 0.97, beside)  # what an imperfect law leaves
     cable, spring = (Candidate(get(name), (1,), {}, columns, sd) for name in ("cable", "spring"))
     assert claimed(cable, before * 0.97, spring) and not claimed(spring, before * 0.97, beside)  # a finer form is no second cause

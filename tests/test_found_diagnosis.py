@@ -138,10 +138,10 @@ def test_a_gas_spring_and_the_spring_that_was_claimed_first_are_not_both_named(t
 
 @pytest.mark.shared
 def test_what_the_form_of_a_gas_spring_leaves_is_no_spring_beside_it(shared_data) -> None:  # type: ignore[no-untyped-def]
-    """Told as what it is, and not named: left, and dependent on the joint's position."""
+    """Of levers sought beside all that was not explained yet something was left, dependent on the joint's position; of its true ones nothing is."""
     answer = case_of(str(shared_data("ur10e/robot.urdf")), "counterbalance loaded", 55161)
     assert answer["named"] == ["counterbalance:shoulder_lift_joint"], answer
-    assert [(u[0], u[2][0]) for u in answer["unexplained"]] == [("shoulder_lift_joint", "q_shoulder_lift_joint")]
+    assert answer["unexplained"] == []
 
 
 @pytest.mark.shared
@@ -157,6 +157,25 @@ def test_a_soft_gear_is_not_its_neighbours(shared_data) -> None:  # type: ignore
     arm = str(shared_data("ur10e/robot.urdf"))
     answer = found_pairs.asked(arm, found_pairs.drawn(95147, 6), 95147)
     assert answer["named"] == ["elasticity:shoulder_lift_joint"], answer
+
+
+@pytest.mark.parametrize(
+    ("seed", "named"),
+    [
+        (95098, []),  # a gear named at its neighbour: 87 rad/s lie beyond what is looked for, where only one of the two was asked
+        (95126, []),  # a wrist's torque gain of 6 %, within what its links may be off: it lowers the held-out error by 0.8 %
+        (95224, ["counterbalance:arm_2_joint"]),  # told as an asymmetric friction and what another gas spring would leave of it
+    ],
+)
+def test_of_drawn_cases(seed: int, named: list[str]) -> None:
+    assert found_pairs.asked("lwa4p", found_pairs.drawn(seed, 6), seed)["named"] == named
+
+
+@pytest.mark.shared
+def test_a_gas_spring_is_no_straight_one(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """Its levers were sought where all that was not explained yet counted as noise: a straight spring 3 % off was as likely."""
+    answer = found_pairs.asked(str(shared_data("ur10e/robot.urdf")), found_pairs.drawn(95203, 6), 95203)
+    assert answer["named"] == ["counterbalance:shoulder_lift_joint"], answer
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from stopset.offline.diagnose.plays import Plays, plays
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step
 from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.diagnose.search.settle import within_reach
 from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
@@ -135,7 +136,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
-        objections.append(objection(c.effect, values, std, seconds, rotor))
+        objections.append(objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
@@ -156,6 +157,16 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         )  # fmt: skip
         error = error if why else taken.after
     return tuple(out)
+
+
+def _of_another_joint(engine: Engine, claim: Claim) -> str:
+    """Why a gear whose link would swing faster than was looked for is no finding: another joint's explains nearly as much."""
+    c = claim.scored.candidate
+    if c.effect.role != "swing" or within_reach(engine, c):
+        return ""
+    others = [engine.data.joints[s.candidate.joints[0]] for s in claim.rivals if s.candidate.effect is c.effect]
+    which = ", ".join(dict.fromkeys(others))
+    return f"a soft gear at {which} explains nearly as much, and both swing faster than was looked for" if others else ""
 
 
 def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:

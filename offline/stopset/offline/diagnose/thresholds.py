@@ -152,8 +152,8 @@ SETTLED = (
     Threshold("LOWERED", "held-out error a claim lowers", "%",
               "a cause that raises the residual by 1.4 lowers it by 29 %; false claims on development sets lowered it by -0.5 and "
               "0.7 % (delays with scores of 63 and 516). Not asked of what a free rigid body takes up (payload, rotor inertia, "
-              "torque gain, base tilt, encoder offset), but beside other claims against a model: there such false ones lowered it by "
-              "-0.2 to 0.7 % on a real UR10e with a load"),
+              "torque gain, base tilt, encoder offset), but against a model of a single joint's, and beside other claims: there such false "
+              "ones lowered it by -0.2 to 0.7 % on a real UR10e with a load, by 0.8 % at a healthy wrist"),
     Threshold("LOWERED_MORE", "the same of a claim at a joint that has one already", "%",
               "what the imperfect law of a first claim leaves: a needless cubic term after Stribeck friction lowered it by 3 %; true second "
               "causes by 12 % and more"),
@@ -171,7 +171,8 @@ SETTLED = (
               "stamps half a sample apart look like a lag (1 to 3 ms on the two healthy sets looked at, with a score up to 1072): "
               "no effect"),
     Threshold("LAG_PRICE", "price of a lag, paid by contenders and claims alike", "", "half a millisecond found among 20"),
-    Threshold("SWING_PRICE", "the same of an elastic gear", "", "stiffness found to 1 %, damping to a tenth"),
+    Threshold("SWING_PRICE", "the same of an elastic gear, and of levers where a gas spring must stand apart from a plainer one", "",
+              "stiffness found to 1 %, damping to a tenth; a place and levers alike"),
     Threshold("BUILT_UP", "friction torques of the first fit, at the joint's usual speed, that hysteresis may build up", "",
               "chosen: hysteresis makes that first friction smaller, so more than one is possible"),
     Threshold("FAR_OVER_NOISE", "residual variance over noise from which a delay is looked for by shifting the record", "",

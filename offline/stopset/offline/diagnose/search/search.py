@@ -18,7 +18,7 @@ from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
-from stopset.offline.diagnose.search.settle import added, instead, refines, said_already, settle
+from stopset.offline.diagnose.search.settle import added, instead, other_gears, refines, said_already, settle
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.progress import Progress, silent
 from stopset.types import Array
@@ -68,9 +68,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     left: list[Scored] = []
     first = before = held_out(now, hyper)
     refused = set[tuple[str, tuple[int, ...]]]()
-    turn = 0
-    while turn < limit.MAX_CLAIMS:
-        turn += 1
+    for _ in range(limit.MAX_CLAIMS):
         found = engine.add_all(ripples.strongest(now, p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
         pool = [*candidates, *(replace(c, charge=charge) for c in found)]
@@ -94,6 +92,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         plainer = next((c for c in claimed if c.key not in beyond and refines(top.candidate, c)), None)
         if plainer is not None:
             top, rivals = instead(now, plainer, top, hyper), ()
+        rivals += other_gears(earlier, top, hyper)
         now, hyper, p, candidate = top.now, top.hyper, top.fit, top.candidate
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
