@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import OFF_RATE
-from stopset.offline.inspect.tally import LAGS, MOVING, SignalSums
+from stopset.offline.inspect.tally import IDLE, LAGS, SignalSums
 from stopset.recording.types import Meta
 
 RATIOS = {  # dq over the derivative of q -> what it means
@@ -80,7 +80,7 @@ def readings(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
             do = "unwrap the angle" if turn else "remove such readings, or look whether an encoder was set anew"
             out.append(Finding("jump", "error", joint, seen, "a step that dq explains", do, first.size))
     moved = t.moved
-    for name, span, moves in (("tau", t.range_tau, moved), ("q", t.range_q, np.abs(t.range_dq).max(axis=1) > MOVING)):
+    for name, span, moves in (("tau", t.range_tau, moved), ("q", t.range_q, np.abs(t.range_dq).max(axis=1) > IDLE)):
         for k in np.flatnonzero(moves & (span[:, 0] == span[:, 1])):
             out.append(
                 Finding("frozen", "error", joints[int(k)], f"{name} is {span[k, 0]:.4g} throughout while the joint moves", "a reading",

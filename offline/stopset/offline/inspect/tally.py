@@ -19,6 +19,7 @@ GAP = 1.6  # periods between stamps from which on a sample is missing
 JUMP, JUMPS_OUT = 0.05, 10.0  # [rad] that no sample explains, and times what the steps of q beside dq usually are
 RARE = 0.01  # share of a trial's steps up to which they are jumps, and not a dq that does not follow
 STILL = 6.0  # steps of the encoder per window, root mean square: noise makes less
+IDLE, IDLE_TRAVEL = 0.05, 0.01  # [rad/s] that the speed of a joint that stands may read, [rad] that it gives way in a trial
 WINDOW = 0.1  # [s] way of q against integral of dq: long against noise, short against a motion
 LAGS = 15  # samples to each side in which dq is compared with the derivative of q
 MOVING = 0.02  # [rad/s]
@@ -180,7 +181,10 @@ class SignalSums:
             np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=integral[1:])
             a, b = r.q[w::w] - r.q[:-w:w][: len(r.q[w::w])], integral[w::w] - integral[:-w:w][: len(integral[w::w])]
             whole = ~np.logical_or.reduceat(torn, np.arange(0, len(torn), w), axis=0)[: len(a)]
-            a, b = a * whole, b * whole
+            step = np.where(np.isfinite(self.resolution), self.resolution, 0.0)
+            # what the speed of a joint that stands reads is no motion that its angle does not follow
+            stands = (np.ptp(r.q, axis=0) <= IDLE_TRAVEL) & (np.abs(a) <= STILL * step) & (np.abs(b) < IDLE * w * h)
+            a, b = a * whole * ~stands, b * whole * ~stands
             self.windows += len(a)
             self.travel += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
             mean = np.diff(b, axis=0) * (whole[1:] & whole[:-1]) / (w * h) ** 2
