@@ -364,7 +364,8 @@ def test_a_law_that_predicts_nothing_is_no_claim() -> None:
     assert claimed(cubic, before / np.sqrt(2))  # what raised the residual by 1.4
     assert claimed(rotor, before)
     base = modelled  # the rigid body is known far better than a description's
-    assert not claimed(rotor, before * 0.992) and claimed(rotor, before * 0.97)
+    gain_of = Candidate(get("torque_gain"), (1,), {}, columns, sd)
+    assert not claimed(gain_of, before * 0.992) and claimed(gain_of, before * 0.97) and claimed(rotor, before)
     base = described
     assert claimed(cubic, before * 0.97, elsewhere) and not claimed(cubic, before * 0.97, beside)  # what an imperfect law leaves
     cable, spring = (Candidate(get(name), (1,), {}, columns, sd) for name in ("cable", "spring"))
