@@ -123,7 +123,7 @@ FINENESS = (
     ("rows/sampling", "FOLLOW", "how a clock is tracked"),
     ("search/refine", "FINEST_LAG", "where a search ends"),
     ("search/settle", "PARTS", "how finely the slope of a torque over the position is looked at"),
-    ("search/settle", "SEARCHES ALONG CLIMB", "how often, from how many values and how long is sought"),
+    ("search/settle", "SEARCHES ALONG CLIMB FALLS", "how often, from how many values, how long and whether at all is sought"),
     ("search/wanted", "LAGS", "start values of a search"),
     ("standing", "USUAL_TORQUE", "stands in for a number that nobody stated"),
 )

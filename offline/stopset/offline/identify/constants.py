@@ -175,7 +175,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis evidence", evidence, "RIDGES"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
-    ("diagnosis settlement", settle, "PARTS SEARCHES ALONG CLIMB"),
+    ("diagnosis settlement", settle, "PARTS SEARCHES ALONG CLIMB FALLS"),
     ("diagnosis wanted", wanted, "LAGS"),
     ("diagnosis play", plays, "PART FEWEST SOFT CROSSING STILL"),
     ("diagnosis open loop", compensated, "STEP SCREENING FINALISTS"),

@@ -58,9 +58,9 @@ def judged(
 
     A delay is judged against ``now`` with its joint's stamps held: far off, they would imitate a good part of it.
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
-    Against a model from other recordings, whose base is not free, it must show where it is a gain, as links may be off by
-    a few percent of a joint's torque, or stands beside other claims; so must, where its joint keeps more than its noise, a second one of its
-    kind, as two of them share what one description is off by (half a degree of tilt beside a load), and one of a single joint: what else
+    Against a model from other recordings, whose base is not free, it must show where it is a gain, in all or within the motions, as links
+    may be off by a few percent of a joint's torque, or stands beside other claims; so must, where its joint keeps more than its noise, a
+    second one of its kind, as two of them share what one description is off by (half a degree of tilt beside a load), and one of a single joint: what else
     that joint keeps looks like a scale or a rotor, and no other joint speaks against it.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
     What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
@@ -71,9 +71,9 @@ def judged(
     inner = Step(before, after, "", candidate.joints, inner=True)
     whole = replace(inner, inner=False)
     doubtful = _keeps_more(whole, left) and (bool(candidate.joints) or any(c.effect.absorbed for c in earlier))
-    if candidate.effect.absorbed and not (
-        doubtful or ((earlier or candidate.effect.enters == "input_gain") and now.engine.modelled)
-    ):
+    gain = candidate.effect.enters == "input_gain" and now.engine.modelled
+    unseen = gain and max(_lowered(whole)[1], _lowered(inner)[1]) <= limit.LOWERED
+    if candidate.effect.absorbed and not (doubtful or unseen or (earlier and now.engine.modelled)):
         return whole
     whole = replace(whole, why=_too_little(whole, candidate, earlier, left))
     hidden = whole.why and candidate.effect.role == "friction"

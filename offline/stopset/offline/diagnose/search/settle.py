@@ -25,6 +25,7 @@ PARTS = 10  # of the recorded rows, by position
 ALONG = 8  # values of a lever
 CLIMB = 80  # columns tried on the path to one top
 SEARCHES = 3  # of levers at the noise that is left, which then falls: they settle in two
+FALLS = 2.0  # times, by which noise that falls tells other levers: by 689 and more where they were wrong, by 1.2 where nothing was gained
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,7 @@ def settle(now: Hypothesis, best: Sequence[Scored], hyper: Hyper) -> tuple[Settl
     lacks = [first.taken_up * _touch(s.candidate, first.candidate) + limit.THRESHOLD for s in best]
     near = [s for s, lack in zip(best[1:], lacks[1:], strict=True) if s.score > best[0].score - lack]
     settled = [first, *(_refitted(now, s, hyper) for s in near)]
-    settled = _geared(settled, now)
+    settled = _geared(settled, now, hyper)
     likeliest = max(settled, key=lambda x: x.evidence)
     asked = {x.candidate.key for x in settled}
     plainer = _plainer(now, likeliest, hyper)
@@ -211,11 +212,20 @@ def _summit(now: Hypothesis, start: Scored, hyper: Hyper) -> Scored:
     return best
 
 
-def _geared(settled: list[Settled], now: Hypothesis) -> list[Settled]:
-    """The contenders, those with levers of their own at the noise that the likeliest leaves, which falls as they come to explain more."""
+def _geared(settled: list[Settled], now: Hypothesis, hyper: Hyper) -> list[Settled]:
+    """The contenders, those with levers of their own at the noise that the likeliest leaves, which falls as they come to explain more.
+
+    ``hyper``: at which they were sought; where the likeliest leaves almost as much, other levers would be no better.
+    """
+
+    def sought(x: Settled, least: Hyper) -> Settled:
+        c = x.candidate
+        falls = _geometric(c) and any(hyper.kappa[j] > FALLS * least.kappa[j] for j in c.joints)
+        return _sought_again(now, x, least) if falls else x
+
     for _ in range(SEARCHES):
         likeliest = max(settled, key=lambda x: x.evidence)
-        again = [_sought_again(now, x, likeliest.hyper) if _geometric(x.candidate) else x for x in settled]
+        again = [sought(x, likeliest.hyper) for x in settled]
         if max(x.evidence - y.evidence for x, y in zip(again, settled, strict=True)) < 1.0:
             break
         settled = again
