@@ -60,8 +60,8 @@ def judged(
     What a free base model takes up can't show in motions that were not fitted: it is weighed against the description instead.
     Against a model from other recordings, whose base is not free, it must show where it is a gain, in all or within the motions, as links
     may be off by a few percent of a joint's torque, or stands beside other claims; so must, where its joint keeps more than its noise, a
-    second one of its kind, as two of them share what one description is off by (half a degree of tilt beside a load), and one of a single joint: what else
-    that joint keeps looks like a scale or a rotor, and no other joint speaks against it.
+    second one of its kind, as two of them share what one description is off by (half a degree of tilt beside a load), and one of a single
+    joint: what else that joint keeps looks like a scale or a rotor, and no other joint speaks against it.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
     What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
     too, it must stand out.
