@@ -12,13 +12,14 @@ import argparse
 import sys
 from pathlib import Path
 
-import numpy as np
 from as_found import ARCMIN, PROGRAM, Trouble, geared, recorded
 
 from stopset.errors import RobotError
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose.plays import plays
+from stopset.robot import Robot
 from stopset.simulation import prepare
+from stopset.simulation.cell import LINK_RESOLUTION
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from test_hidden_effects import ARM
@@ -27,12 +28,13 @@ SIDES = 1.96  # standard deviations to either side of a 95 % interval
 GAPS = (0.0, 0.5, 1.0, 3.0, 5.0)  # [arcmin]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def asked(doc: str, first: int) -> tuple[argparse.Namespace, Robot]:
+    """What a benchmark of second encoders is asked, and its arm; ``first``: the seed to begin with."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", type=Path)
     parser.add_argument("--joint", type=int, default=1)
     parser.add_argument("--seeds", type=int, default=6)
-    parser.add_argument("--first", type=int, default=20)
+    parser.add_argument("--first", type=int, default=first)
     args = parser.parse_args()
     try:
         robot = load_robot(args.robot) if args.robot else robot_from_text(ARM)
@@ -40,6 +42,11 @@ def main() -> None:
         parser.error(str(error))
     if args.seeds < 1 or args.first < 0 or not 0 <= args.joint < robot.n:
         parser.error(f"expected a seed at least, counted from 0 on, and a joint of 0 to {robot.n - 1}")
+    return args, robot
+
+
+def main() -> None:
+    args, robot = asked(__doc__ or "", 20)
     print(
         "| stiffness [N m/rad] | gap [arcmin] | named, of | 95 % intervals that hold it | largest error | elsewhere |\n|---|---|---|---|---|---|"
     )
@@ -48,7 +55,7 @@ def main() -> None:
             named, inside, off, false = 0, 0, 0.0, 0
             for seed in range(args.first, args.first + args.seeds):
                 s = prepare(robot, ["none"], seed, "short", cad="wrong")
-                trouble = Trouble(change=geared(args.joint, stiffness, gap * ARCMIN), behind=2 * np.pi / 2**19)
+                trouble = Trouble(change=geared(args.joint, stiffness, gap * ARCMIN), behind=LINK_RESOLUTION)
                 for r in plays(s.robot, recorded(s, PROGRAM, 100.0, trouble, seed + 100)).ranked:
                     p = r.parameters["gap"]
                     if r.joints != (robot.joints[args.joint],) or gap == 0.0:

@@ -8,25 +8,19 @@ An arm of three joints, or another (``--robot``), with a soft gear at one joint,
 
 from __future__ import annotations
 
-import argparse
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from as_found import PROGRAM, Trouble, geared, recorded
+from backlash import asked
 
-from stopset.errors import RobotError
-from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
 from stopset.offline.diagnose.plays import plays
 from stopset.recording import Recordings
 from stopset.simulation import prepare
+from stopset.simulation.cell import LINK_RESOLUTION
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from test_hidden_effects import ARM
-
-BITS, ONCE = 2 * np.pi / 2**19, np.deg2rad(20 / 3600)  # [rad]
+ONCE = np.deg2rad(20 / 3600)  # [rad] by which an encoder errs once per turn
 
 
 def mounted(data: Recordings, seed: int) -> Recordings:
@@ -38,18 +32,7 @@ def mounted(data: Recordings, seed: int) -> Recordings:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robot")
-    parser.add_argument("--joint", type=int, default=1)
-    parser.add_argument("--seeds", type=int, default=6)
-    parser.add_argument("--first", type=int, default=40)
-    args = parser.parse_args()
-    try:
-        robot = load_robot(args.robot) if args.robot else robot_from_text(ARM)
-    except RobotError as error:
-        parser.error(str(error))
-    if args.seeds < 1 or args.first < 0 or not 0 <= args.joint < robot.n:
-        parser.error(f"expected a seed at least, counted from 0 on, and a joint of 0 to {robot.n - 1}")
+    args, robot = asked(__doc__ or "", 40)
     print(
         "| stiffness [N m/rad] | named, of | 95 % intervals that hold it | largest error | elsewhere, or play |\n|---|---|---|---|---|"
     )
@@ -57,7 +40,11 @@ def main() -> None:
         named, inside, off, false = 0, 0, 0.0, 0
         for seed in range(args.first, args.first + args.seeds):
             s = prepare(robot, ["none"], seed, "short", cad="wrong")
-            trouble = Trouble(change=geared(args.joint, stiffness, 0.0), behind=BITS) if stiffness else Trouble(behind=BITS)
+            trouble = (
+                Trouble(change=geared(args.joint, stiffness, 0.0), behind=LINK_RESOLUTION)
+                if stiffness
+                else Trouble(behind=LINK_RESOLUTION)
+            )
             found = plays(s.robot, mounted(recorded(s, PROGRAM, 100.0, trouble, seed + 100), seed))
             false += len(found.ranked)
             for r in found.bends:

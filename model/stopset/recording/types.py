@@ -42,7 +42,7 @@ class Meta:
 
 @dataclass(frozen=True, slots=True)
 class Spike:
-    """A sample at ``t`` [s] whose torque of ``joint`` is by ``size`` [N m] off both neighbours, with no reason in the motion."""
+    """A sample at ``t`` [s] whose torque of ``joint`` is by ``size`` [N m] off both neighbours; which of them are readings of nothing `without_spikes` says."""
 
     t: float
     joint: int
