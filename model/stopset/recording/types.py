@@ -42,7 +42,7 @@ class Meta:
 
 @dataclass(frozen=True, slots=True)
 class Spike:
-    """A sample at ``t`` [s] whose torque of ``joint`` is by ``size`` [N m] off both neighbours; which of them are readings of nothing `without_spikes` says."""
+    """A sample at ``t`` [s] whose torque of ``joint`` is by ``size`` [N m] off both neighbours; `without_spikes` says of which nothing happened."""
 
     t: float
     joint: int
