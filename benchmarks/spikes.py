@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from stopset.errors import RecordingError
 from stopset.recording import spikes as rule
 from stopset.recording import stream_recordings
 
@@ -19,8 +20,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
+    try:
+        table(args.files)
+    except RecordingError as error:
+        parser.error(str(error))
+
+
+def table(files: list[Path]) -> None:
+    """Print a row per file. Raises `RecordingError`."""
     print("| recording | left out | largest in mid-motion | elsewhere, or answered |\n|---|---|---|---|")
-    for path in args.files:
+    for path in files:
         out, middle, elsewhere = 0, 0.0, 0.0
         for r in stream_recordings(path):
             if r.phase not in ("closed_loop", "open_loop") or len(r.t) < rule.FEWEST:
