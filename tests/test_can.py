@@ -366,6 +366,52 @@ def test_replay_keeps_time_and_shows_the_jump_between_trials() -> None:
     assert all(s.powered and s.tau is not None and s.temp is None for s in got)
 
 
+# each as (number of a cycle, how much of a cycle after its SYNC its frames came)
+HELD_UP = {
+    "the first": [(0, 0.95)],
+    "some": [(20, 0.95), (21, 0.95)],
+    "the last": [(59, 0.95)],
+    "none": [],
+    "all": [(k, 0.95) for k in range(60)],
+}
+
+
+@pytest.mark.parametrize("which", HELD_UP)
+def test_no_cycle_of_a_bus_that_is_held_up_is_missing_from_the_counters(which: str) -> None:
+    """One was neither a sample nor counted where its frames came so late that they could be of another."""
+    tape, cycle, begin = recorded([motion(0, 60)]), -1, time.time() - 1.0
+    late = dict(HELD_UP[which])
+    for place, f in enumerate(tape.frames):
+        cycle += f.cob_id == SYNC_ID
+        tape.frames[place] = f._replace(t=begin + f.t + (f.cob_id != SYNC_ID) * DT * late.get(cycle, 0.01))
+    source = CanSource(tape, PROFILE, DT)
+    got = [s for _ in range(70) if (s := source.next(0.0)) is not None]
+    c = source.counters()
+    assert c["cycles"] == 60 == len(got) + c["dropped"] + c["incomplete_cycles"] + c["doubtful_cycles"] + c["cycles_underway"]
+    assert c["doubtful_cycles"] == {"the first": 2, "all": 60}.get(which, 1), "the first alone, unless it ends late"
+    assert c["cycles_underway"] == (which == "the last"), "no SYNC came that would have told whose its frames are"
+
+
+class Ending(Tape):
+    """A bus that fails behind its last frame."""
+
+    def recv(self, timeout: float) -> Frame | None:
+        if not self.frames:
+            raise BusError("cable out")
+        return super().recv(timeout)
+
+
+def test_the_sample_in_hand_when_a_bus_fails_is_given_out() -> None:
+    """It was thrown away, and counted nowhere, where it was older than samples should be and a newer one was looked for."""
+    tape = Ending()
+    tape.frames = [f._replace(t=time.time() - 1.0 + f.t) for f in recorded([motion(0, 10)]).frames]
+    source = CanSource(tape, PROFILE, DT, oldest_s=1e-3)
+    sample = source.next(0.0)
+    assert sample is not None and sample.k == 8 and source.dropped == 8
+    with pytest.raises(BusError, match="cable out"):
+        source.next(0.0)
+
+
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc"])
 def test_import_of_a_log_returns_the_recording(suffix: str, tmp_path: Path) -> None:
     trials = [motion(s, 40, s) for s in range(2)]

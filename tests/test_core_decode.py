@@ -194,7 +194,8 @@ def test_services_are_told_from_strangers() -> None:
 @given(seeds, st.sampled_from([0, 5, 240]))
 @example(0, 0)
 def test_no_cycle_is_mixed_of_two(seed: int, overflow: int) -> None:
-    """Frames lost, doubled and late, in any combination: what is given out is one SYNC's, under its own number, and in order."""
+    """Frames lost, doubled and late, in any combination: what is given out is one SYNC's, under its own number, and in order; what is not
+    given out is counted."""
     rng = np.random.default_rng(seed)
     lose, double, delay = rng.choice([0.0, 0.02, 0.2], 3)
     t, frames = Table(4, overflow=overflow), []
@@ -210,6 +211,11 @@ def test_no_cycle_is_mixed_of_two(seed: int, overflow: int) -> None:
         assert what == lib.STOPSET_CYCLE and np.all(values == values[0]) and values[0] > last
         assert counter == (values[0] % overflow + 1 if overflow else -1)
         last = values[0]
+    # no cycle that began is missing from what was given out, was incomplete, in doubt, or is underway
+    d, doubled = t.d, {f.t for f in frames if f.id == SYNC} != {f.t for f in (cycle(k)[0] for k in range(60))}
+    accounted = len(said) + d.incomplete + d.doubted + (d.holds or (d.synced and d.seen < d.synchronous))
+    assert d.syncs == sum(f.id == SYNC for f in frames) <= accounted
+    assert double or doubled or accounted == d.syncs, "none counts twice, but one that was given out and then came again"
     if lose == double == 0.0:
         assert len(said) >= 58
 

@@ -201,6 +201,16 @@ def test_a_lost_bus_is_fault_until_it_is_back(make: Callable[..., Made]) -> None
     assert wire.slow["state/json"][-1]["samples"] == 10 or wire.words[-1] is not State.FAULT
 
 
+def test_what_a_lost_bus_had_dropped_is_dropped_since_the_start(make: Callable[..., Made]) -> None:
+    """Every bus that was opened anew began at none again."""
+    daemon, first, wire = make([*samples(2), BusError("cable out")])
+    second = Arm([*samples(2)])
+    second.daemon, first.dropped, second.dropped = daemon, 3, 2
+    assert daemon.run(lambda: second) == 0
+    counts = [s["dropped"] for s in wire.states]
+    assert counts == sorted(counts) and set(counts) == {3, 5}
+
+
 class Silent:
     """A bus on which nobody says anything."""
 

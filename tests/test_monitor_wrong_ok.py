@@ -446,9 +446,11 @@ def test_killed_stopped_hung_and_restarted_daemons_are_noticed_by_both_consumers
             good = [(at, m) for at, m in list(heard) if m["t_pub_ns"] >= woken and State(m["state"]) in GOOD]
             assert good and min(m["t_pub_ns"] for _, m in good) >= woken + RECOVER * 1e9
             for at, m in good:
-                # the drives' side stamps the SYNC when it sends it: so old the data truly are
-                assert m["t_meas_ns"] >= woken, "nothing of what waited while it stood is OK"
-                assert m["t_pub_ns"] - m["t_meas_ns"] <= VALID_MS * 1e6
+                # the drives' side stamps the SYNC when it sends it: so old the data truly are. What was sent shortly before it was woken may
+                # be looked at once it has recovered, on a machine that has much to do: as long as it is valid, whenever it came
+                assert m["t_pub_ns"] - m["t_meas_ns"] <= VALID_MS * 1e6, (
+                    "of what waited while it stood only what is still valid is OK"
+                )
                 apart = time.time() - time.monotonic()
                 assert granted.between(m["t_pub_ns"] * 1e-9 - apart, at * 1e-9 - apart) <= WATCHDOG * 1e-3
             for jump in (3_600_000, 0):

@@ -88,6 +88,7 @@ class Daemon:
         self.verdict: Verdict | None = None
         self._arrived = float("-inf")
         self._late_in_a_row = 0
+        self._dropped = 0  # by the sources before this one
         self._fault = self._last_words = self._disk = ""
         self._evidence: deque[Sample] = deque(maxlen=max(1, round(config.publish.evidence_s / cycle_s)))
         self._next_json = self._next_health = 0.0
@@ -244,7 +245,7 @@ class Daemon:
         return Turn(state, flags, why, numbers)
 
     def _send(self, turn: Turn) -> None:
-        observed = Observed(self.sample, self.verdict, self.latch, self.source.dropped + self.orders.dropped)
+        observed = Observed(self.sample, self.verdict, self.latch, self._dropped + self.source.dropped + self.orders.dropped)
         message, identity = self._message, self.publisher.identity
         self.publisher.state(message.values(turn, observed, self.model.joints), message.block(turn.numbers, identity))
         self._notify.say("WATCHDOG=1")
@@ -345,6 +346,7 @@ class Daemon:
                 while (source := reopen()) is None:
                     if self._say_lost(words):
                         return
+                self._dropped += self.source.dropped
                 self.source = resumed(source, self.source)
                 self._remind()
                 self.watch.restart()  # a new source counts its cycles anew

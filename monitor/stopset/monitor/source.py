@@ -125,7 +125,13 @@ class CanSource:
         last = self.decoder.frames + TURN
         while self.decoder.frames < last:
             if batch.taken[0] == batch.count:
-                self._refill(wait)
+                try:
+                    self._refill(wait)
+                except BusError as e:
+                    if found is None:
+                        raise
+                    self._failed = e  # behind the sample that is in hand
+                    break
                 if not batch.count and (found is not None or self.clock.monotonic() >= end):
                     break
             now = self.clock.time_ns() * 1e-9
@@ -158,7 +164,11 @@ class CanSource:
         d = self.decoder
         return {
             "frames": d.frames,
+            # each of the first is a sample (given out or dropped) or one of the next three
+            "cycles": d.begun,
             "incomplete_cycles": d.incomplete,
+            "doubtful_cycles": d.doubtful,
+            "cycles_underway": d.underway,
             "other_frames": d.unknown,
             "missed_cycles": self._count.missed,
             "dropped": self.dropped,

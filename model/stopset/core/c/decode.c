@@ -65,6 +65,7 @@ static int next_sync(StopsetDecoder *d, const StopsetFrame *f, double t) {
         given = 0;
         spoilt(d);
     }
+    d->syncs++;
     d->synced = 1;
     d->counter = counter;
     d->t = t;
@@ -106,6 +107,7 @@ static int pdo(StopsetDecoder *d, int place, const StopsetFrame *f, double t) {
     int late = t - d->t > latest * d->cycle_s;
     if (d->doubtful) { /* what ends it late may be the next one's: then that is no better */
         d->doubtful = late;
+        d->doubted++;
         return 0;
     }
     late |= d->hold > 0;

@@ -282,7 +282,8 @@ typedef struct {
     int32_t synced, seen, doubtful, holds, hold;
     int32_t counter, held_counter, out_counter;      /* of SYNC, -1: none */
     double t, held_t, held_at, out_t;                /* [s] of SYNC; when the held cycle was whole */
-    int64_t incomplete, unknown, frames;
+    int64_t syncs, incomplete, doubted;              /* cycles begun; that lacked a frame or had one twice; whole, and in doubt */
+    int64_t unknown, frames;
     const uint8_t *node;                             /* (STOPSET_NODES,) STOPSET_STRANGER, .. */
     double *heard, patience;                         /* (STOPSET_NODES,) [s] last heartbeat; longest silence, 0: they send none */
     int32_t nodes_good;                              /* out: so are all, as of the cycle given out */

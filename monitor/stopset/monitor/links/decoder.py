@@ -97,6 +97,22 @@ class Decoder:
         return int(self._struct.incomplete)
 
     @property
+    def begun(self) -> int:
+        """Cycles whose SYNC has come. Each is given out, incomplete, doubtful or underway."""
+        return int(self._struct.syncs)
+
+    @property
+    def doubtful(self) -> int:
+        """Whole cycles that were not given out, because a frame in them may be of the one before."""
+        return int(self._struct.doubted)
+
+    @property
+    def underway(self) -> int:
+        """The cycle (0 or 1) that lacks frames yet, or is held back until the next SYNC."""
+        s = self._struct
+        return int(s.holds or (s.synced and s.seen < s.synchronous))
+
+    @property
     def unknown(self) -> int:
         """Frames of no signal that is looked at."""
         return int(self._struct.unknown)
