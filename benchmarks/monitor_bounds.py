@@ -1,6 +1,6 @@
 """What stop bounds beside the loop cost, and how much of the time they hold, while an arm moves:
 ``python benchmarks/monitor_bounds.py MODEL [RECORDING] [--rounds 3] [--seconds 30] [--payload KG [KG]] [--share 0.1]
-[--categories 0 1] [--alone] [--arms 12]``.
+[--categories 0 1] [--alone [--price MS]] [--arms 12]``.
 
 ``./run demo --out FOLDER`` leaves a model and recordings; the model "ur10e" is the UR10e-like arm of stop_arms_wide.py, its payload
 0 to 12.5 kg where none is declared. Without a recording the arm goes from one random pose to the next and comes by no state twice in
@@ -8,7 +8,9 @@ a round. Per round: processor time of the bounding process as a part of a core, 
 the median flange travel of STOP 0, a state without a bound taken as infinite.
 
 It runs in real time, so other work on the machine counts against it; ``--alone``: an answer comes when a core of its own would have
-given it, by the processor time that its proof took.
+given it, by the processor time that its proof took.  That is more on a busy machine (caches and cores are shared), and what a share of a core
+buys is less: so boxes reach farther ahead and say less. ``--price``: every proof costs as much, whatever it took: then the figures are those of the
+code and the same on any machine, and two prices tell what load does.
 """
 
 from __future__ import annotations
@@ -59,13 +61,14 @@ class Alone(StopDesk):
     """The desk with the proofs in this process: an answer comes when it would have come from a core of its own."""
 
     prepared: StopBounds
+    fixed: float | None = None  # [s] that every proof costs
 
     def _start(self) -> None:
         self._ready, self._pipe, self.free, self.due = True, self, 0.0, deque()  # type: ignore[assignment]
 
     def price(self, answer: Certificate) -> float:
         """[s] of processor time."""
-        return answer.cpu
+        return answer.cpu if self.fixed is None else self.fixed
 
     def send(self, request: Any) -> None:
         """As the pipe's."""
@@ -114,7 +117,7 @@ def made(args: argparse.Namespace, path: str, model: Model) -> tuple[StopDesk, A
         prepared, why = prepare(path, payload, stops)
         if prepared is None:
             raise SystemExit(why)
-        desk.prepared = prepared
+        desk.prepared, desk.fixed = prepared, None if args.price is None else 1e-3 * args.price
         return desk, lambda: desk.budget.total
     beside = StopDesk(path, seen_by(model), stops, payload, Quantum.none(model.n))
     while not beside._ready:
@@ -135,10 +138,15 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=Stops().core_share)
     parser.add_argument("--categories", nargs="+", default=["0", "1"], choices=["0", "1", "2"])
     parser.add_argument("--alone", action="store_true", help="on a core of its own, by the proofs' processor time")
+    parser.add_argument("--price", type=float, metavar="MS", help="with --alone: of a proof, whatever it took")
     parser.add_argument(
         "--arms", type=int, default=1, help="so many, one after another, each with motions and certificates of its own"
     )
     args = parser.parse_args()
+    if args.price is not None and not (args.alone and args.price > 0.0):
+        parser.error(
+            f"a price of {args.price:g} ms; expected more than none, and --alone: in real time proofs cost what they cost"
+        )
     path = args.model
     if path == "ur10e":
         path = f"{tempfile.mkdtemp()}/ur10e.model.json"

@@ -34,7 +34,16 @@ from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Stride, march
-from stopset.reach.stops.tubes import FAST_ENERGY_KNOTS, FAST_KNOTS, FAST_WINDOWS, KNOTS, Region, expected_stop, march_box
+from stopset.reach.stops.tubes import (
+    FAST_ALIKE_KNOTS,
+    FAST_ENERGY_KNOTS,
+    FAST_KNOTS,
+    FAST_WINDOWS,
+    KNOTS,
+    Region,
+    expected_stop,
+    march_box,
+)
 from stopset.reach.stops.types import Category
 from stopset.reach.stops.windows import windows
 from stopset.sets import Box
@@ -163,20 +172,23 @@ def ranges(states: int = 60) -> None:
         for least in (0.0, 0.5, 0.75, 0.95, 0.98):
             setting = StopBounds.of(model, (least * rated, rated)).setting
             assert setting is not None
-            parts, whole = CompiledStops.of(setting), CompiledStops.of(setting)
-            parts.struct.ranged, whole.struct.ranged = lib.STOPSET_SOME_PAYLOADS, lib.STOPSET_ONE_PAYLOAD
+            loop = StopBounds.of(model, (least * rated, rated), fast=True)
+            coarse = replace(setting, payload=(0.0, rated))  # steps of a range, however narrow it is
+            whole = replace(loop, setting=coarse, parts=())
+            parts = replace(whole, parts=coarse.parts)
             rng, ratios, spent = np.random.default_rng(5), [], np.zeros(2)
             for _ in range(states):
                 q, dq, took, found = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top, [], []
-                for core in (parts, whole):
+                q = np.clip(q, *(0.98 * model.robot.q_limit.T))
+                for bounds in (parts, whole):
                     start = time.thread_time_ns()
-                    found.append(core.bound(q, dq))
+                    found.append(bounds.bound(q, dq))
                     took.append(time.thread_time_ns() - start)
                 a, b = found
-                if a is None or b is None or took[0] < 1.5 * took[1]:
+                if a.angle is None or b.angle is None or a.tcp is None or b.tcp is None or took[0] < 1.5 * took[1]:
                     continue
                 spent += took
-                ratios.append([max(a.forward.max(), a.back.max()) / max(b.forward.max(), b.back.max()), a.tool[0] / b.tool[0]])
+                ratios.append([a.angle.max() / b.angle.max(), a.tcp / b.tcp])
             if len(ratios) >= 10:
                 angle, tool = np.median(ratios, axis=0)
                 which = f"{name}, {least * rated:.3g} to {rated:.3g} kg, {len(ratios)} states"
@@ -241,8 +253,7 @@ def energy(files: list[str], states: int = 60) -> None:
         s, whole, alone = loop.setting, [], []
         assert s is not None
         within = np.clip(np.array([d.q.lo, d.q.hi]), -np.pi, np.pi).clip(*model.robot.q_limit.T)
-        core = CompiledStops.of(s)
-        core.struct.ranged = lib.STOPSET_ONE_PAYLOAD
+        knots = FAST_ENERGY_KNOTS if s.payloads == lib.STOPSET_SOME_PAYLOADS else FAST_ALIKE_KNOTS
         for _ in range(states):
             q, dq = rng.uniform(*within), rng.uniform(d.dq.lo, d.dq.hi)
             if loop.bound(q, dq).layer != "energy":
@@ -255,14 +266,14 @@ def energy(files: list[str], states: int = 60) -> None:
             )
             region = Region.first(s, start.fastest, expected_stop(s.plant, start.q, start.fastest))
             plants = windows(s.plant, s.delay_spread, s.lag, FAST_WINDOWS)
-            tubes = [march_box(s, p, start, energetic=True, knots=FAST_ENERGY_KNOTS, region=region) for p in plants]
+            tubes = [march_box(s, p, start, energetic=True, knots=knots, region=region) for p in plants]
             if not all(t.end == OK for t in tubes):
                 continue
             begin = time.thread_time_ns()
-            core.bound(q, dq)
+            loop.bound(q, dq)
             middle = time.thread_time_ns()
             for p in plants:  # in the region that is known by now
-                march_box(s, p, start, energetic=True, knots=FAST_ENERGY_KNOTS, region=region)
+                march_box(s, p, start, energetic=True, knots=knots, region=region)
             whole.append((middle - begin) / 1e6)
             alone.append((time.thread_time_ns() - middle) / 1e6)
         if len(whole) >= 10:

@@ -144,7 +144,7 @@ CHECKED: dict[str, Check] = {
     ),
     "speed_towards": lambda b, x, p: _closing(b, p),
 }  # fmt: skip
-WORDS = {"category", "certified", "why", "assumptions", "layer", "extrapolated", "here"}
+WORDS = {"category", "certified", "why", "assumptions", "layer", "extrapolated", "end_stops", "here"}
 ASKED_BY = {"motion": ("directed_speed", "directed_distance", "speed_towards")}  # a field that only these read
 NOT_ALONG_A_PATH = {"capsules", "directed_speed", "directed_distance", "speed_towards"}  # not published there
 

@@ -20,9 +20,10 @@ from stopset.reach.stops.cartesian import SLICES, reached, slices
 from stopset.reach.stops.compiled import CompiledStops, Stopped
 from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.split import _blurred
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Stride, Tube, march
-from stopset.reach.stops.tubes import march_box
+from stopset.reach.stops.tubes import FAST_KNOTS, march_box, tubes_of
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
 from stopset.types import Array
@@ -236,21 +237,26 @@ def test_a_point_whose_ways_are_not_known_has_the_sets_of_its_box() -> None:
 # ---- payloads
 
 
+def told(loop: StopBounds, q: Array, dq: Array) -> Stopped:
+    """A bound of Python's loop, in the core's words."""
+    b = loop.bound(q, dq)
+    assert b.time is not None and b.forward is not None and b.back is not None and b.speed is not None
+    return Stopped(b.time, b.forward, b.back, b.speed, np.array([b.tcp, b.tcp_speed]))
+
+
 def test_a_range_of_payloads_has_the_bound_of_its_parts_or_of_all_of_it_where_the_tool_gets_less_far() -> None:
     """Beside all of the range at once and each part, bounded by themselves; neither is the better in every state."""
     model = random_arm(4, 0)
     bounds, rng, n = StopBounds.of(model, fast=True), np.random.default_rng(5), model.n
     assert bounds.setting is not None
-    either, whole, *parts = (CompiledStops.of(s) for s in (bounds.setting, bounds.setting, *bounds.parts))
-    for core in (whole, *parts):
-        core.struct.ranged = 0
-    by_parts = 0
+    either, by_parts = CompiledStops.of(bounds.setting), 0
+    whole, *parts = (replace(bounds, setting=s, parts=()) for s in (bounds.setting, *bounds.parts))
     for k in range(27):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
         if k < 20:
             continue
-        a, b, heavier, lighter = (core.bound(q, dq) for core in (either, whole, *parts))
-        assert a is not None and b is not None and heavier is not None and lighter is not None
+        a, b, heavier, lighter = either.bound(q, dq), *(told(loop, q, dq) for loop in (whole, *parts))
+        assert a is not None
         worst = Stopped(*(np.maximum(getattr(heavier, x), getattr(lighter, x)) for x in Stopped.__slots__))
         less = bool(worst.tool[0] < b.tool[0])
         by_parts += less
@@ -267,15 +273,67 @@ def test_payloads_that_are_alike_are_bounded_by_one_tube_of_finer_steps() -> Non
     alike, some = (StopBounds.of(model, (share * rated, rated), fast=True) for share in (0.98, 0.97))
     assert alike.setting is not None and some.setting is not None
     assert (alike.setting.payloads, some.setting.payloads) == (lib.STOPSET_ALIKE_PAYLOADS, lib.STOPSET_SOME_PAYLOADS)
-    core, coarse = CompiledStops.of(alike.setting), CompiledStops.of(alike.setting)
-    coarse.struct.ranged = lib.STOPSET_ONE_PAYLOAD
+    core, coarse = (
+        CompiledStops.of(alike.setting),
+        replace(alike, setting=replace(alike.setting, payload=(0.97 * rated, rated)), parts=()),
+    )
     nearer = 0
     for _ in range(8):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
-        a, b, loop = core.bound(q, dq), coarse.bound(q, dq), alike.bound(q, dq)
-        assert a is not None and b is not None and loop.forward is not None and loop.back is not None
+        a, b, loop = core.bound(q, dq), told(coarse, q, dq), alike.bound(q, dq)
+        assert a is not None and loop.forward is not None and loop.back is not None
         assert np.array_equal(a.forward, loop.forward) and np.array_equal(a.back, loop.back) and np.array_equal(a.time, loop.time)
         nearer += bool(max(a.forward.max(), a.back.max()) < max(b.forward.max(), b.back.max()))
     assert nearer >= 6
     weak = replace(alike.setting, plant=alike.setting.plant._replace(brake_lo=0.01 * alike.setting.plant.brake_lo))
     assert CompiledStops.of(weak).bound(q, dq) is None  # nor have its parts a bound
+
+
+# ---- what is known better, and bands that have fed on each other
+
+
+@pytest.mark.parametrize("arm", [(4, 0), (5, 0), (6, 0)])
+def test_who_knows_the_load_exactly_gets_no_farther_angle_than_who_knows_it_to_2_percent(arm: tuple[int, int]) -> None:
+    """Where the kinetic energy has to bound it: one payload had coarser steps, and angles up to 3 times as far."""
+    model = random_arm(*arm)
+    rated, rng, n = model.domain.payload[1], np.random.default_rng(7), model.n
+    exact, about = (StopBounds.of(model, (lo * rated, hi * rated), fast=True) for lo, hi in ((0.99, 0.99), (0.98, 1.0)))
+    assert exact.setting is not None and exact.setting.payloads == lib.STOPSET_ONE_PAYLOAD
+    core, ratios = CompiledStops.of(exact.setting), []
+    for k in range(12):
+        q, dq = rng.uniform(-3.0, 3.0, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
+        radii = np.full((2, n), 0.01 * (k % 2))
+        a, b, same = exact.bound(q, dq, "0", *radii), about.bound(q, dq, "0", *radii), core.bound(q, dq, "0", *radii)
+        assert a.angle is not None and b.angle is not None and a.tcp is not None and b.tcp is not None and same is not None
+        assert np.array_equal(a.time, same.time) and np.array_equal(a.forward, same.forward)  # type: ignore[arg-type]
+        if a.layer == b.layer == "energy":
+            ratios.append([a.angle.max() / b.angle.max(), a.tcp / b.tcp])
+    assert len(ratios) >= 6 and np.max(ratios, axis=0)[0] <= 1.001 and np.median(ratios, axis=0)[1] < 1.0
+
+
+@pytest.mark.parametrize(("arm", "share", "energetic"), [((7, 1), 0.0, True), ((5, 0), 0.0, True), ((2, 0), 0.99, False)])
+def test_in_a_loop_too_the_nearer_proof_counts_where_bands_have_fed_on_each_other(
+    arm: tuple[int, int], share: float, energetic: bool
+) -> None:
+    """As in tables; core and Python take the same of the two, and no sampled stop goes beyond it."""
+    model = random_arm(*arm)
+    load, rng, n = share * model.domain.payload[1], np.random.default_rng(9), model.n
+    loop = StopBounds.of(model, (load, load), fast=True)
+    s, nearer = loop.setting, []
+    assert s is not None
+    core, r, v = CompiledStops.of(s), s.noise.radius[:n], s.noise.radius[n:]
+    for k in range(16):
+        q, dq = rng.uniform(-3.0, 3.0, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
+        start = Start(q, dq, r, v)
+        plain = march_box(s, s.plant, start, energetic=False, knots=FAST_KNOTS)
+        if plain.end != OK or not _blurred(plain):
+            continue
+        b, same = loop.bound(q, dq), core.bound(q, dq)
+        assert b.time is not None and b.tcp is not None and same is not None
+        for name in ("time", "forward", "back", "speed"):
+            assert np.array_equal(getattr(b, name), getattr(same, name))
+        assert b.tcp == same.tool[0] and (b.layer == "energy") == energetic
+        (tube,) = tubes_of(s, start, 1, fast=True)
+        assert sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 30, k).escaped == 0
+        nearer.append(float(np.max(b.angle) / max(plain.d_hi.max(), -plain.d_lo.min())))  # type: ignore[arg-type]
+    assert len(nearer) >= 3 and (np.median(nearer) < 0.9) == energetic

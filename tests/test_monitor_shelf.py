@@ -139,6 +139,22 @@ def test_what_was_saved_makes_the_bounds_of_motion_that_comes_again_tight() -> N
     assert retained[0] < retained[2] < retained[-2] == retained[-1], "it asked for tighter ones, and then no more"
 
 
+def test_on_a_machine_that_becomes_busy_bounds_become_wider_and_health_says_so() -> None:
+    """What a proof takes is what a share of a core buys; bounds of new motion are then of boxes that reach farther."""
+    told = []
+    for later in (0.004, 0.04):
+        desk, angles = beside(0.004), []
+        for seed, cost in ((3, 0.004), (5, later)):
+            desk.cost = cost
+            for x, v in zip(*never_twice(prbt_like(), 8.0, seed), strict=True):
+                bounded = desk.see(x, v)
+                if seed == 5:
+                    angles.append(desk.now(x, v)[0]["0"].forward.sum() if bounded else np.inf)
+        told.append((np.median(angles), desk.spending["dearer"]["0"], desk.spending["box_ms"]["0"]))
+    assert told[0][1] < 1.01 and abs(told[0][2] - 4.0) < 0.01
+    assert told[1][1] > 5.0 and told[1][2] > 20.0 and told[1][0] > 1.1 * told[0][0]
+
+
 def test_a_share_that_is_used_up_is_no_bound_and_is_said() -> None:
     desk = beside(FULL + 0.5)  # what no machine takes: the first answer uses up all that is saved and more
     for _ in range(1000):

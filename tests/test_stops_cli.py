@@ -39,6 +39,7 @@ KEYS = [
     "tcp_m",
     "certified",
     "why",
+    "end_stops",
 ]
 RAMP = ["--ramp-time", "0.3", "--off-after", "0.33"]
 SWEPT = np.array([[0.0, 0.0, 0.2, 0.0, 0.0, 0.5, 0.1], [0.0, 0.0, 0.5, 0.3, 0.3, 0.9, 0.4]])  # capsules [m]

@@ -107,6 +107,8 @@ def _config(variables: Variables, n: int, flags: Mapping[str, int]) -> str:
     for category in (*CONTROLLED, ON_PATH):
         if f"{category}_TIME" not in seen:
             lines += [f"#define VR_{category}_TIME N_REAL", f"#define IX_{category}_CERTIFIED N_BOOL"]
+        if f"{category}_END_STOP" not in seen:
+            lines.append(f"#define IX_{category}_END_STOP N_BOOL")
     for group in GROUPS_ALWAYS:
         if group not in seen:
             lines.append(f"#define VR_{group} 0")

@@ -70,6 +70,7 @@ def stop_data(model: Model, path: Path | None = None) -> StopData:
     n = model.n
     numbers = _nominal(brakes, n) | _nominal_ramp(model) | {
         "stop_q_lo": np.maximum(d.q.lo - EDGE, limit[:, 0]), "stop_q_hi": np.minimum(d.q.hi + EDGE, limit[:, 1]),
+        "range_lo": limit[:, 0], "range_hi": limit[:, 1],
         "stop_dq_lo": d.dq.lo - EDGE, "stop_dq_hi": d.dq.hi + EDGE, "stop_per_kg": per_kg(weighed(model, None)[1]),
         "stop_weighed": np.array(weighed(model, None)[0]),
     }  # fmt: skip

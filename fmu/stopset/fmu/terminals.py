@@ -20,7 +20,7 @@ TERMINALS = {
     "bounds": (("Q_LO", "Q_HI", "DQ_LO", "DQ_HI", "AGE", "COVERED"), "where a measured state can be"),
     "verdict": (("CONFORMANT", "VERDICT", "VIOLATED_JOINT"), "whether the measured arm is where the model says"),
     "stop": (
-        ("STOP", "EVALUATE_STOP", "STOP_TIME", "STOP_ANGLE", "STOP_FORWARD", "STOP_BACK", "STOP_CERTIFIED"),
+        ("STOP", "EVALUATE_STOP", "STOP_TIME", "STOP_ANGLE", "STOP_FORWARD", "STOP_BACK", "STOP_CERTIFIED", "STOP_END_STOP"),
         "request of a stop, and the bounds of one",
     ),
     "path": (("PATH_ROW", "PATH_RATE", "PATH_STOP_TIME", "PATH_STOP_CERTIFIED"), "a stop along the programmed path"),

@@ -286,6 +286,11 @@ def _physics(m: Model, effects: Sequence[EffectParameter]) -> list[Variable]:
     return out
 
 
+_END_STOP = (
+    "{} can lead a joint to the end of its range: its bounds hold until one strikes there, not after; false without bounds"
+)
+
+
 def _switches(m: Model, kinds: Sequence[StopCategory]) -> list[Variable]:
     """Integers and booleans: (name, causality, description, start)."""
     every = "steps from one computation of the stop bounds to the next; 1: of every state that is read, 0: only when asked for"
@@ -304,6 +309,7 @@ def _switches(m: Model, kinds: Sequence[StopCategory]) -> list[Variable]:
         *((f"{c.stem}_certified", "output", f"whether the bounds of {c.what} are proven for this state", None) for c in kinds),
         *((("ss1_monitored", "parameter", monitored, braking.monitored),) if braking is not None else ()),
         ("restart", "parameter", "predict anew from the measured state when the horizon is over", True),
+        *((f"{c.stem}_end_stop", "output", _END_STOP.format(c.what), None) for c in kinds if c is not ON_PATH),
     )
     out = []
     for name, causality, what, start in integers:

@@ -81,10 +81,16 @@ class Counter:
     )
     took_wide: float = FIRST
     cost: float = 0.0  # [s] of processor time a narrow or long box of late
+    least_cost: float = 0.0  # [s] the least that this was
 
     @classmethod
     def of(cls, n: int, budget: Budget, rivals: int) -> Counter:
         return cls(Shelf(n), Shelf(n), Shelf(n, WIDE_CAPACITY), budget, rivals)
+
+    @property
+    def dearer(self) -> float:
+        """How many times as much processor time as once a box takes: on a busy machine, or where the motion is harder to bound."""
+        return self.cost / self.least_cost if self.least_cost else 1.0
 
     @property
     def certificates(self) -> int:
@@ -111,6 +117,7 @@ class Counter:
             self.took = min(max(answer.took, 0.7 * self.took), LONGEST)
             self.took_wide = max(0.7 * self.took_wide, self.took)  # where one failed a smaller one, which takes less, is next
             self.cost += RECENT * (answer.cpu - self.cost) if self.cost else answer.cpu
+            self.least_cost = min(self.least_cost or self.cost, self.cost)
         proven = answer.numbers.proven
         if proven:
             (self.narrow if size is NARROW else self.long if size is LONG else self.wide).put(answer)

@@ -31,6 +31,7 @@ class Numbers:
     why: str = ""
     margin: float = float("-inf")  # least holding margin [N m]
     capsules: Array | None = None  # (P, 7) [m] both ends and radius: together they contain what the links sweep
+    end_stops: tuple[str, ...] = ()  # joints that can strike the end of their range, after which the numbers say nothing
     proven: bool = field(init=False)  # every joint is
 
     def __post_init__(self) -> None:

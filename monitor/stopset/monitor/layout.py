@@ -59,6 +59,7 @@ class Flag(IntFlag):
     NODE_NOT_GOOD = 1024
     EVIDENCE_YOUNG = 2048
     RECOVERING = 4096
+    END_STOP = 8192
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,6 +91,7 @@ def _stops(turn: Turn, joints: tuple[str, ...]) -> dict[str, Any]:
         c: {
             "time_s": finite(float(np.max(x.time))), "tcp_m": finite(x.tcp),
             "certified": x.proven, "why": x.why or ("" if x.proven else turn.why), "capsules": _capsules(x),
+            "end_stops": list(x.end_stops),
             "joints": {
                 j: {"time_s": finite(x.time[i]), "forward_rad": finite(x.forward[i]), "back_rad": finite(x.back[i])}
                 for i, j in enumerate(joints)

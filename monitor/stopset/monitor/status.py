@@ -12,11 +12,12 @@ from stopset.monitor.sample import Sample
 from stopset.monitor.verdict import Conformance, Verdict
 
 # whole numbers: combining flags in a loop of microseconds costs tens of them
-_LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NOT_FRESH, _NODE, _YOUNG, _RECOVERING = (
+_LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NOT_FRESH, _NODE, _YOUNG, _RECOVERING, _END_STOP = (
     int(f)
     for f in (
         Flag.VIOLATION_LATCHED, Flag.OUT_OF_DOMAIN, Flag.BUS_GAP, Flag.BUS_STALE, Flag.NO_STOP_PROVABLE, Flag.DEADLINE_MISS,
         Flag.DRIVES_NOT_POWERED, Flag.NO_TORQUE, Flag.STOP_NOT_FRESH, Flag.NODE_NOT_GOOD, Flag.EVIDENCE_YOUNG, Flag.RECOVERING,
+        Flag.END_STOP,
     )
 )  # fmt: skip
 _DOUBTFUL = _OUTSIDE | _STALE | _NODE
@@ -67,6 +68,8 @@ def flags_of(s: Situation) -> int:
     for n in s.numbers.values():
         if not n.proven:
             bits |= _NO_STOP
+        elif n.end_stops:
+            bits |= _END_STOP
     if v is not None:
         if v.outside:
             bits |= _OUTSIDE

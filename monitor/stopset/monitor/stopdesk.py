@@ -97,10 +97,12 @@ class StopDesk:
 
     @property
     def spending(self) -> dict[str, Any]:
-        """What the other process has cost, in words of `health`: processor time [s] so far, boxes kept, whether its share is used up."""
+        """What the other process has cost, in words of `health`: processor time [s] so far, boxes kept, whether its share is used up, what a
+        box costs of late [ms] and how many times as much as it once did: the dearer they are, the farther they reach and the less they say."""
         return {
             "cpu_s": self.budget.total, "share": self.stops.core_share, "share_used_up": self.budget.spent,
             "kept": {c: x.certificates for c, x in self.counters.items()},
+            "box_ms": {c: 1e3 * x.cost for c, x in self.counters.items()}, "dearer": {c: x.dearer for c, x in self.counters.items()},
         }  # fmt: skip
 
     def _start(self) -> None:

@@ -125,4 +125,4 @@ def numbers_of(bound: StopBound, n: int) -> Numbers:
         return Numbers.none(n, bound.why, margin)
     tcp = np.inf if bound.tcp is None else float(bound.tcp)
     swept = None if bound.capsules is None else bound.capsules.reshape(-1, 7)
-    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin, swept)
+    return Numbers(bound.time, bound.forward, bound.back, tcp, np.ones(n, bool), bound.why, margin, swept, bound.end_stops)

@@ -163,6 +163,8 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
 static const unsigned first_of[] = {VR_STOP_TIME, VR_STOP1_NOMINAL_TIME, VR_STOP1_GUARANTEED_TIME, VR_STOP2_TIME, VR_PATH_STOP_TIME};
 static const unsigned flag_of[] = {IX_STOP_CERTIFIED, IX_STOP1_NOMINAL_CERTIFIED, IX_STOP1_GUARANTEED_CERTIFIED, IX_STOP2_CERTIFIED,
                                    IX_PATH_STOP_CERTIFIED};
+/* Whether a joint can strike the end of its range; a path that leads there is refused. */
+static const unsigned struck_of[] = {IX_STOP_END_STOP, IX_STOP1_NOMINAL_END_STOP, IX_STOP1_GUARANTEED_END_STOP, IX_STOP2_END_STOP, N_BOOL};
 
 int stopset_stop_output(unsigned real) {
     for (int k = 0; k < N_STOPS; k++)
@@ -172,8 +174,19 @@ int stopset_stop_output(unsigned real) {
 
 int stopset_stop_flag(unsigned boolean) {
     for (int k = 0; k < N_STOPS; k++)
-        if (boolean == flag_of[k]) return k;
+        if (boolean == flag_of[k] || boolean == struck_of[k]) return k;
     return -1;
+}
+
+/* Whether the bound leads a joint to the end of its range, from any state of the box: as StopBounds of stopset.reach.stops.bounds says. */
+static int strikes(const StopsetCertificate *c) {
+    const StopsetModel *m = &stopset_model;
+    int out = 0;
+    for (int i = 0; i < NJ; i++) {
+        const double off = c->q_radius[i] + fmax(fabs(m->noise_lo[i]), fabs(m->noise_hi[i]));
+        out |= (c->q[i] + off + c->forward[i] > m->range_hi[i]) | (c->q[i] - off - c->back[i] < m->range_lo[i]);
+    }
+    return out;
 }
 
 /* The outputs of a category, from its certificate where that proves the present state's stop. */
@@ -190,6 +203,7 @@ static void publish(StopsetState *s, int category, int proved) {
     out[4 * NJ + 1] = proved ? c->tool[1] : (double)NAN;
     out[4 * NJ + 2] = proved ? s->r[VR_TIME] - c->at : (double)NAN;
     s->b[flag_of[category]] = (uint8_t)proved;
+    if (struck_of[category] < N_BOOL) s->b[struck_of[category]] = (uint8_t)(proved && strikes(c));
 }
 
 /* Which categories speak of the stop that is asked for: 1 STOP 0, 2 STOP 1, working and failing, 3 STOP 2. */

@@ -53,8 +53,8 @@ typedef struct {
     double stop_per_kg[10], stop_weighed;          /* of the last link by a payload [per kg]; [kg] by which it may be off */
     double R[NJ][3][3], p[NJ][3], axis[NJ][3], gravity[3], pi[NJ][10]; /* rigid body, see stopset.robot */
     double gain[NJ], standstill[NJ];               /* recorded per true torque; speed below which a joint counts as still [rad/s] */
-    /* stops: where the model speaks of a measured state, what a stop starts from less that state, errors of a reading */
-    double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], stop_centre[NX], stop_radius[NX], truth_centre[NX], truth_radius[NX], noise_lo[NX],
+    /* stops: where the model speaks of a measured state, the joints' ranges, what a stop starts from less that state, errors of a reading */
+    double stop_q_lo[NJ], stop_q_hi[NJ], stop_dq_lo[NJ], stop_dq_hi[NJ], range_lo[NJ], range_hi[NJ], stop_centre[NX], stop_radius[NX], truth_centre[NX], truth_radius[NX], noise_lo[NX],
         noise_hi[NX];
     double brake_mid[NJ], brake_delay[NJ], brake_rise[NJ]; /* nominal brake, for the motion */
     int ramp_timed;                                /* nominal ramp: of a length, as shares of stop1_time, else of a deceleration */

@@ -817,7 +817,7 @@ STOPSET_API double stopset_expected_stop(const StopsetPlant *plant, const double
 
 #define STOPSET_STOP_KNOTS 100       /* time steps over the expected stop, and where the kinetic energy has to help */
 #define STOPSET_STOP_ENERGY_KNOTS 16
-#define STOPSET_STOP_ALIKE_KNOTS 28  /* and then where payloads are alike: one tube of finer steps in place of three */
+#define STOPSET_STOP_ALIKE_KNOTS 28  /* and then of one payload, or where payloads are alike: one tube of finer steps in place of three */
 #define STOPSET_STOP_CLOSING 35      /* at least so many of them from when the first brake may close until all have, in each case */
 #define STOPSET_STOP_ENERGY_CLOSING 20
 #define STOPSET_STOP_ALIKE_CLOSING 35

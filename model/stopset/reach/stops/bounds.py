@@ -121,8 +121,8 @@ class StopBounds:
         reached = (q + off + bound.forward > limit[:, 1]) | (q - off - bound.back < limit[:, 0])
         if not np.any(reached):
             return bound
-        said = end_stops([j for j, x in zip(self.model.joints, reached, strict=True) if x])
-        return replace(bound, why="; ".join(x for x in (bound.why, said) if x))
+        struck = tuple(j for j, x in zip(self.model.joints, reached, strict=True) if x)
+        return replace(bound, end_stops=struck, why="; ".join(x for x in (bound.why, end_stops(struck)) if x))
 
     def marked(self, bound: StopBound, beyond: str | None) -> StopBound:
         """The bound, not certified and marked where its payload is one that no recording carried or its state lies ``beyond`` them."""

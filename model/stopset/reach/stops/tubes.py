@@ -32,7 +32,8 @@ class Knots(NamedTuple):
 KNOTS = Knots(200, 70)  # of a table; the bound's time is coarse by one of them
 ENERGY_KNOTS = Knots(200, 200)  # where the kinetic energy has to help
 # in a fast loop: of a certificate (bounds under 1 % wider, in half the time); where the kinetic energy has to help (in a sixth of
-# the time), and the same for payloads that are alike; windows of the brakes' common delay (half the angle of one where the energy has to help)
+# the time), and the same for one payload and for payloads that are alike; windows of the brakes' common delay (half the angle of one
+# where the energy has to help)
 FAST_KNOTS = Knots(lib.STOPSET_STOP_KNOTS, lib.STOPSET_STOP_CLOSING)
 FAST_ENERGY_KNOTS = Knots(lib.STOPSET_STOP_ENERGY_KNOTS, lib.STOPSET_STOP_ENERGY_CLOSING)
 FAST_ALIKE_KNOTS = Knots(lib.STOPSET_STOP_ALIKE_KNOTS, lib.STOPSET_STOP_ALIKE_CLOSING)
@@ -141,11 +142,10 @@ def tubes_of(
     """Tubes that together hold all stops from the states of ``start``; the last is not OK if that failed.
 
     Up to ``pieces`` of them, for every window of the brakes' common delay; with one piece the delays are taken as independent.
-    ``last_resort``: whether the kinetic energy may have to bound it; ``fast``: few windows and coarse steps, for a loop, and the first
-    proof that there is.
+    ``last_resort``: whether the kinetic energy may have to bound it; ``fast``: few windows and coarse steps, for a loop.
     """
     lasts = expected_stop(setting.plant, start.q, start.fastest)
-    loop = FAST_KNOTS, FAST_ALIKE_KNOTS if setting.payloads == lib.STOPSET_ALIKE_PAYLOADS else FAST_ENERGY_KNOTS
+    loop = FAST_KNOTS, FAST_ENERGY_KNOTS if setting.payloads == lib.STOPSET_SOME_PAYLOADS else FAST_ALIKE_KNOTS
     knots = loop if fast else (KNOTS, ENERGY_KNOTS)
     regions = [Region.first(setting, start.fastest, lasts) for _ in knots]  # the kinetic energy's tubes lead farther
 
@@ -157,7 +157,7 @@ def tubes_of(
     delay_spread = setting.delay_spread if pieces > 1 or fast else None
     for plant in reversed(windows(setting.plant, delay_spread, setting.lag, FAST_WINDOWS if fast else None)):
         part = certify(one, plant, start.q, lasts, pieces, last_resort=last_resort)
-        if [t.end for t in part] == [OK] and last_resort and not (fast or part[0].energetic):
+        if [t.end for t in part] == [OK] and last_resort and not part[0].energetic:
             part = [nearer(one, plant, part[0])]
         out += part
         if part[-1].end != OK:

@@ -33,6 +33,7 @@ class StopBound:
     ``fallback``: STOP 2: what a STOP 0 adds if the standstill window is left, (rad, s), None where that is not proved;
     ``extrapolated``: where filled, the numbers hold for a state or payload that identification has not seen, as it says, and the
     bound is not certified; ``layer``: what proved it, see `LAYERS`; ``motion``: where to and how fast in a direction;
+    ``end_stops``: joints that the bound leads to the end of their range: the numbers hold until one strikes there, not after;
     ``capsules``: (P, n, 7) [m] what each link sweeps (its axis, where its shape is not known), see `stopset.reach.stops.cartesian.swept_capsules`.
     """
 
@@ -55,6 +56,7 @@ class StopBound:
     motion: PointSets | None = None
     capsules: Array | None = None
     extrapolated: str = ""
+    end_stops: tuple[str, ...] = ()
     here: tuple[str, ...] = ()  # those of the assumptions that are about this state alone
 
     def _repr_html_(self) -> str:

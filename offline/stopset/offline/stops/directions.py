@@ -71,6 +71,7 @@ def hull(first: StopBound, found: Sequence[StopBound]) -> StopBound:
         fallback=(max(x[0] for x in known), max(x[1] for x in known)) if len(known) == len(left) else None,
         layer=max((b.layer for b in found), key=LAYERS.index), why="; ".join(said),
         assumptions=tuple(dict.fromkeys(a for b in found for a in b.assumptions)),
+        end_stops=tuple(dict.fromkeys(j for b in found for j in b.end_stops)),
         here=tuple(dict.fromkeys(a for b in found for a in b.here)), certified=all(b.certified for b in found),
         extrapolated="; ".join(dict.fromkeys(b.extrapolated for b in found if b.extrapolated)),
     )  # fmt: skip

@@ -64,6 +64,7 @@ class StopRow:
     fallback: tuple[float, float] | None = None  # STOP 2: (rad, s) that a STOP 0 adds if the standstill window is left
     extrapolated: str = ""
     assumptions: tuple[str, ...] = ()  # of this row
+    end_stops: tuple[str, ...] = ()  # joints that can strike the end of their range, after which the numbers say nothing
     # (P, 7) [m] capsules around what the links sweep, in the direction in which the tool goes farthest
     swept: Array | None = field(default=None, repr=False, compare=False)
 
@@ -78,7 +79,7 @@ class StopRow:
             "category", "joint", "speed_percent", "payload_percent", "extension_percent", "time_s", "angle_rad", "tcp_m",
             "certified", "why",
         )  # fmt: skip
-        row = {k: getattr(self, k) for k in keys}
+        row = {k: getattr(self, k) for k in keys} | {"end_stops": list(self.end_stops)}
         return row | {"extrapolated": True, "assumptions": list(self.assumptions)} if self.extrapolated else row
 
 
@@ -287,7 +288,7 @@ def _row(model: Model, bound: StopBound, group: Sequence[int], q: Array, dq: Arr
         why=bound.why, pose=tuple(map(float, q)), far_m=far, far_speed=fast,
         margin=() if bound.holding_margin is None else tuple(map(float, bound.holding_margin)), fallback=bound.fallback,
         extrapolated=bound.extrapolated if bound.time is not None else "", assumptions=bound.assumptions,
-        swept=None if bound.capsules is None else bound.capsules.reshape(-1, 7),
+        end_stops=bound.end_stops, swept=None if bound.capsules is None else bound.capsules.reshape(-1, 7),
     )  # fmt: skip
 
 

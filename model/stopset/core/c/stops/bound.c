@@ -13,6 +13,7 @@ enum { ALIKE_KNOTS = STOPSET_STOP_ALIKE_KNOTS, ALIKE_CLOSING = STOPSET_STOP_ALIK
 enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
 enum { REGIONS = 5, COARSE = 4 }; /* that a tube is tried in; times fewer knots of the tube that finds one */
 enum { LONG = KNOTS * PATIENCE + CLOSING, LONG_ENERGY = ALIKE_KNOTS * MORE_PATIENCE + ALIKE_CLOSING, STEPS = LONG > LONG_ENERGY ? LONG : LONG_ENERGY };
+static const double BLURRED = 0.5, HAIR = 1e-9; /* [rad/s] by which a band is wider than the fastest joint was; [rad] of a way, at least */
 static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone, or wider than it */
 
 int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + SLICES * (7 * n + 6 * n + 8) + 1; }
@@ -263,23 +264,47 @@ void stops_begin(StopAsk *a, double *work, const StopsetBound *out) {
 
 enum { NOWHERE, BY_SPEEDS, BY_ENERGY }; /* what bounds a stop */
 
+/* Whether bands of speeds have fed on each other, though they closed: there the energy often knows more. */
+static int blurred(const StopAsk *a) {
+    const StopsetTube *t = &a->tube;
+    const int64_t n = a->stops->plant.arm.n;
+    double fastest = 0.0, widest = 0.0;
+    for (int64_t k = 0; k < n; k++) fastest = most(fastest, most(size_of(t->v_lo[k]), size_of(t->v_hi[k])));
+    for (int64_t k = 0; k < n * (a->made + 1); k++) widest = most(widest, t->v_hi[k] - t->v_lo[k]);
+    return widest > fastest + BLURRED;
+}
+
+/* Tubes of one window of delays, the nearer proof where bands are blurred: as `nearer` of stopset.reach.stops.split. */
+static int window_rests(StopAsk *a, const double *lo, const double *hi, Region region[2], double fastest[SN]) {
+    const int n = a->stops->plant.arm.n;
+    double speeds[SN], energy[SN], any[SN], share = 0.0;
+    if (!stops_march(a, lo, hi, 0, region, fastest)) return stops_march(a, lo, hi, 1, region + 1, fastest) ? BY_ENERGY : NOWHERE;
+    if (!blurred(a)) return BY_SPEEDS;
+    extent(a, any, speeds);
+    const int ends = stops_march(a, lo, hi, 1, region + 1, fastest);
+    extent(a, any, energy);
+    for (int i = 0; i < n; i++) share += most(energy[i], HAIR) / most(speeds[i], HAIR);
+    if (ends & (share < n)) return BY_ENERGY;
+    /* the tube of speeds once more, in the region that held it: there is room for one */
+    return stops_march(a, lo, hi, 0, region, fastest) * BY_SPEEDS;
+}
+
 /* Tubes of all windows of the brakes' delay, and what shows that they come to rest. */
 static int rests(const StopsetStops *stops, const StopsetStates *from, double *work, const StopsetBound *out) {
     const int n = stops->plant.arm.n;
     int by = BY_SPEEDS;
     double speed[SN], fastest[SN], lo[WINDOWS][SN], hi[WINDOWS][SN];
     Region region[2];
-    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0, stops->ranged == STOPSET_ALIKE_PAYLOADS};
+    StopAsk a = {stops, *from, 0.0, 0, 0, {0}, 0, stops->ranged != STOPSET_SOME_PAYLOADS};
     stops_begin(&a, work, out);
     for (int i = 0; i < n; i++) speed[i] = size_of(from->dq[i]) + from->dq_radius[i];
     a.lasts = stopset_expected_stop(&stops->plant, from->q, speed);
     for (int k = 0; k < 2; k++) stops_guess(&a, region + k); /* the kinetic energy's tubes lead farther */
     /* the latest brakes are the hardest: what cannot be proved is known at once */
     for (int k = windows(stops, lo, hi) - 1; k >= 0; k--) {
-        if (!stops_march(&a, lo[k], hi[k], 0, region, fastest)) {
-            if (!stops_march(&a, lo[k], hi[k], 1, region + 1, fastest)) return NOWHERE;
-            by = BY_ENERGY;
-        }
+        const int one = window_rests(&a, lo[k], hi[k], region, fastest);
+        if (one == NOWHERE) return NOWHERE;
+        if (one == BY_ENERGY) by = BY_ENERGY;
         for (int i = 0; i < n; i++) out->time[i] = most(out->time[i], stops_rests_after(&a, i));
         stops_widen(&a, from->q, from->q_radius, fastest, out);
     }

@@ -18,7 +18,7 @@ typedef struct {
     double *lines, *cut; /* of the slices: work of stopset_slices, boxes and sets */
     StopsetTube tube;
     int64_t made;
-    int fine; /* steps of the kinetic energy's tube, for payloads that are alike */
+    int fine; /* steps of the kinetic energy's tube, for one payload and for those that are alike */
 } StopAsk;
 
 /* Take the tube's memory from `work`; empty the bound. */
