@@ -199,6 +199,20 @@ def test_what_the_monitors_host_imports_stays_light(what: str) -> None:
     assert done.returncode == 0, done.stderr[-1500:]
 
 
+def test_no_command_waits_for_parts_of_scipy_that_it_may_not_use() -> None:
+    """A second of processor time before the first word: these are imported where they are called."""
+    slow = ("scipy.stats", "scipy.optimize", "scipy.signal", "scipy.interpolate", "scipy.spatial")
+    names = {"stopset.offline.identify.pipeline", "stopset.offline.diagnose.diagnose", "stopset.offline.inspect.inspection"}
+    assert names <= set(modules())  # what commands load
+    for name in modules():
+        for node in tree(name).body:
+            if isinstance(node, ast.ImportFrom):
+                loaded = {node.module or "", *(f"{node.module}.{a.name}" for a in node.names)}
+            else:
+                loaded = {a.name for a in node.names} if isinstance(node, ast.Import) else set()
+            assert not [x for x in loaded if x.startswith(slow)], name
+
+
 def test_bus_libraries_stay_in_the_links_and_importers() -> None:
     """`can` and `zenoh` are imported where a bus is opened, and nowhere when a module is merely loaded."""
     for name in modules():

@@ -93,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
         )
     if len(worst) > WORST and not args.all:
         say(f"violation: {len(worst) - WORST} more, --all lists them")
-    say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
+    count = f"{len(found.rows)} recording{'s' if len(found.rows) != 1 else ''}"
+    say(f"of {count} {len(found.violations)} left the sets and {found.outside_domain} the domain")
     for name, (held, out) in found.bands.items():
         say(f"{name}: {out} of the {held} recordings at its temperatures leave its narrower sets (nothing is promised of them)")
     say(f"when it was identified: {model.guarantee.text}")

@@ -106,7 +106,8 @@ def words(g: Guarantee, trials: int, motions: int, margin: float, how: str, scop
     from where.
     """
     plural = "s" if motions != 1 else ""
-    seen = f"All {trials} recorded trials of {motions} independent motion{plural} are enclosed {scope} (margin up to {margin:.2f}, {how})."
+    all_of = f"All {trials} recorded trials of {motions} independent motion{plural} are" if trials != 1 else "The one recorded trial is"
+    seen = f"{all_of} enclosed {scope} (margin up to {margin:.2f}, {how})."
     if g.motions == 0 and motions >= FEWEST_MOTIONS:
         return (
             f"{seen} The nominal model was fitted to every motion that could have been held out: nothing statistical is promised "

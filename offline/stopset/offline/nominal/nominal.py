@@ -264,7 +264,7 @@ def _nominal(
             )
     through = data.settings.low_pass
     filtered = () if through == 0.0 else (in_words(through),)
-    skipped = [f"{count} recordings left out: {why}" for why, count in sorted(data.skipped.items())]
+    skipped = [f"{count} recording{'s' if count != 1 else ''} left out: {why}" for why, count in sorted(data.skipped.items())]
     return Nominal(
         joints=robot.joints,
         pi=result.theta[: 10 * n].reshape(n, 10),

@@ -19,6 +19,7 @@ from scipy.linalg import solve_triangular
 
 from stopset.types import Array, Index
 
+REPEATED = 1e-12  # of a matrix's largest eigenvalue: rounding
 RIDGES = (1e-10, 1e-8, 1e-6, 1e-4)  # relative, the first that makes a matrix of repeated columns regular
 
 
@@ -164,15 +165,24 @@ def gain(S: Array, s: Array, precision: Array) -> tuple[float, Array, Array]:
 
     ``S, s``: the group's part of a `Projection`; ``precision`` (k,): of the parameters' zero-mean normal prior.
     """
-    if len(s) == 1:
-        total = max(float(S[0, 0] + precision[0]), 1e-300)
-        value = float(s[0] ** 2 / total - max(np.log(total / precision[0]), 0.0))
-        return value, s / total, np.array([[1.0 / total]])
-    A = S + np.diag(precision)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    scaled = A * np.outer(scale, scale)
-    cov = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
-    theta = cov @ s
-    sign, logdet = np.linalg.slogdet(scaled)
-    occam = (logdet if sign > 0 else 0.0) - 2 * np.log(scale).sum() - np.log(precision).sum()
-    return float(s @ theta - max(occam, 0.0)), theta, cov
+    value, theta, cov = gains(S[None], s[None], precision[None])
+    return float(value[0]), theta[0], cov[0]
+
+
+def gains(S: Array, s: Array, precision: Array) -> tuple[Array, Array, Array]:
+    """`gain` of m groups of as many terms: ``S`` (m, k, k), ``s`` and ``precision`` (m, k); (m,), (m, k), (m, k, k)."""
+    if s.shape[1] == 1:
+        total = np.maximum(S[:, :, 0] + precision, 1e-300)
+        value = s**2 / total - np.maximum(np.log(total / precision), 0.0)
+        return value[:, 0], s / total, 1.0 / total[:, :, None]
+    A = S + precision[:, :, None] * np.eye(s.shape[1])
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(A, axis1=1, axis2=2), 1e-300))
+    w, V = np.linalg.eigh(A * (scale[:, :, None] * scale[:, None, :]))
+    size = np.abs(w)
+    sound = size > REPEATED * size.max(axis=1, keepdims=True)  # a group whose columns repeat each other has fewer directions
+    half = V * scale[:, :, None]
+    cov = (half * (sound / np.where(sound, w, 1.0))[:, None, :]) @ half.transpose(0, 2, 1)
+    theta = (cov @ s[:, :, None])[:, :, 0]
+    logdet = np.where(np.prod(np.sign(w), axis=1) > 0, np.log(np.maximum(size, 1e-300)).sum(axis=1), 0.0)
+    occam = logdet - 2 * np.log(scale).sum(axis=1) - np.log(precision).sum(axis=1)
+    return (s * theta).sum(axis=1) - np.maximum(occam, 0.0), theta, cov
