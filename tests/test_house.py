@@ -20,7 +20,7 @@ PARTS = ("model", "offline", "monitor", "fmu")
 # who may use whom: only those further down (offline, monitor and fmu never each other)
 LAYERS = (
     ("cli",), ("offline", "monitor", "fmu"), ("simulation",), ("reach",), ("artifact",), ("recording",), ("effects",), ("robot",),
-    ("sets",), ("ring",), ("core",), ("serving",), ("unpacked",), ("files",), ("progress",), ("notebook",), ("errors",), ("types",),
+    ("sets",), ("ring",), ("core",), ("serving",), ("unpacked",), ("files",), ("progress",), ("notebook",), ("words",), ("errors",), ("types",),
 )  # fmt: skip
 LEVEL = {name: k for k, layer in enumerate(LAYERS) for name in layer}
 # what the monitor's host must not need

@@ -26,7 +26,8 @@ class ComparisonVerdict:
 
 def _of(out: int, count: int) -> str:
     """How many recordings leave ..., in words."""
-    return "the recording leaves" if count == 1 else f"{'all' if out == count else f'{out} of'} {count} recordings leave"
+    some = f"all {count}" if out == count else f"{out} of {count}"
+    return "the recording leaves" if count == 1 else f"{some} recordings {'leaves' if out == 1 else 'leave'}"
 
 
 def verdict(found: Comparison) -> ComparisonVerdict:
@@ -47,7 +48,11 @@ def verdict(found: Comparison) -> ComparisonVerdict:
             f"Not covered: {_of(count, count)} the model's domain, where it promises nothing.", "bad",
             "compare with recordings inside the domain (see the table at the end), or identify with these.",
         )  # fmt: skip
-    left = f" {beyond} of the {count} leave the model's domain, where it promises nothing." if beyond else ""
+    left = (
+        f" {beyond} of the {count} {'leaves' if beyond == 1 else 'leave'} the model's domain, where it promises nothing."
+        if beyond
+        else ""
+    )
     left = left if count > 1 or not beyond else " It leaves the model's domain, where it promises nothing."
     if out:
         where = where or _left(found)

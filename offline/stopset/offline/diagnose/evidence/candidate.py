@@ -112,8 +112,10 @@ def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
         value = float(2 * c.given * s[0] - c.given**2 * S[0, 0] - c.price)
         return value, np.array([c.given]), np.zeros((1, 1))
     if len(terms) >= limit.MANY:
-        value, theta, cov = max((gain(S, s, 1.0 / (size * c.sd) ** 2) for size in limit.SIZES), key=lambda g: g[0])
-        value -= 2 * float(np.log(len(limit.SIZES)))
+        precision = 1.0 / (np.array(limit.SIZES)[:, None] * c.sd) ** 2
+        values, thetas, covs = gains(*(np.broadcast_to(x, (len(precision), *x.shape)) for x in (S, s)), precision)
+        best = int(np.argmax(values))
+        value, theta, cov = float(values[best]) - 2 * float(np.log(len(limit.SIZES))), thetas[best], covs[best]
     else:
         value, theta, cov = gain(S, s, 1.0 / c.sd**2)
     beyond = np.array([not t.lo <= v <= t.hi and t.lo <= 0.0 <= t.hi for t, v in zip(terms, theta, strict=True)])

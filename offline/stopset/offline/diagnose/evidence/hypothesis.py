@@ -42,7 +42,9 @@ class Hypothesis:
     held: tuple[int, ...] = ()
     forms: tuple[Form, ...] = ()
     _view: list[Hypothesis] = field(default_factory=list, init=False, compare=False, repr=False)
-    _sums: dict[tuple[tuple[float, ...], ...], tuple[Array, float]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    _sums: dict[tuple[tuple[float, ...], ...], tuple[Array, float]] = field(
+        default_factory=dict, init=False, compare=False, repr=False
+    )
 
     # -- others beside it -------------------------------------------------------------------------------------------
 
