@@ -113,7 +113,8 @@ def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
         return value, np.array([c.given]), np.zeros((1, 1))
     if len(terms) >= limit.MANY:
         precision = 1.0 / (np.array(limit.SIZES)[:, None] * c.sd) ** 2
-        values, thetas, covs = gains(*(np.broadcast_to(x, (len(precision), *x.shape)) for x in (S, s)), precision)
+        m, k = precision.shape
+        values, thetas, covs = gains(np.broadcast_to(S, (m, k, k)), np.broadcast_to(s, (m, k)), precision)
         best = int(np.argmax(values))
         value, theta, cov = float(values[best]) - 2 * float(np.log(len(limit.SIZES))), thetas[best], covs[best]
     else:
