@@ -61,6 +61,19 @@ def by_degree(p: Polynomial, centre: np.ndarray, direction: np.ndarray, degree: 
     return np.bincount(local.exponent.sum(axis=1), weights=terms, minlength=degree + 1)[: degree + 1]
 
 
+@pytest.mark.parametrize("cut", [0, 1, 2, 3])
+def test_a_polynomial_cut_as_it_is_recentred_is_the_whole_one_cut_afterwards(cut: int) -> None:
+    """To the bit, though most of its monomials are never made; one variable stays where it is."""
+    rng = np.random.default_rng(cut)
+    p = Polynomial(rng.integers(0, 3, (60, 5)), rng.normal(size=60))
+    centre = np.array([0.3, -1.2, 0.0, 0.7, 2.0])
+    whole, short = p.recentred(centre), p.recentred(centre, cut)
+    low = whole.exponent.sum(axis=1) <= cut
+    assert 0 < low.sum() < len(low)
+    assert np.array_equal(short.exponent, whole.exponent[low])
+    assert np.array_equal(short.coefficient, whole.coefficient[low])
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_model_3_has_the_taylor_coefficients_of_the_closed_form(order: int) -> None:
     model = build(3, order, two_link(), ROTOR, VISCOUS)

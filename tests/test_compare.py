@@ -225,3 +225,12 @@ def test_the_first_sentence_names_the_joint_that_fails_though_the_sets_hold(plan
     beyond = tuple(dataclasses.replace(r, inside_domain=False) for r in found.rows)
     said = verdict(dataclasses.replace(found, figures=explained, rows=beyond))
     assert said.kind == "bad" and said.text.startswith("Not covered")
+
+
+def test_one_recording_that_is_compared_is_spoken_of_as_one(planar) -> None:  # type: ignore[no-untyped-def]
+    folder, _, _ = planar
+    whole = compare(load_model(folder / "m.model.json"), [folder / "rec.parquet"])
+    found = dataclasses.replace(whole, rows=whole.rows[:1])
+    assert "The recording stays inside the predicted sets." in verdict(found).text
+    beyond = dataclasses.replace(found, rows=(dataclasses.replace(found.rows[0], inside_domain=False),))
+    assert "Not covered: the recording leaves the model's domain, where it promises nothing." in verdict(beyond).text

@@ -15,9 +15,9 @@ from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns import elasticity as swing
-from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.candidate import Candidate, gain_within
 from stopset.offline.diagnose.evidence.engine import Engine
-from stopset.offline.diagnose.evidence.evidence import JointGram, gain, project
+from stopset.offline.diagnose.evidence.evidence import JointGram, gain, gains, project
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis, _put
 from stopset.offline.diagnose.evidence.scores import score_new, scores
@@ -233,6 +233,43 @@ def test_friction_scales_found_uphill_are_the_best_of_all(engine: Engine) -> Non
         choices = [dataclasses.replace(hyper, sigma=_put(hyper.sigma, j, s)) for s in SCATTERS]
         best = max(choices, key=lambda h: view.criterion(view.project(h)[0], h, view.project(h)[1]))
         assert all(view._best(start, choices) == best for start in (choices[0], choices[-1], hyper))
+
+
+def test_candidates_judged_together_are_judged_as_each_alone(engine: Engine) -> None:
+    """Laws of one, two and many terms and lags at once: score, numbers and their errors are those of the definition, one by one."""
+    now = Hypothesis(engine)
+    hyper, _ = now.fit()
+    candidates = engine.add_all(wanted(engine, None))
+    assert {1, 2} <= {len(c.effect.terms) for c in candidates} and any(c.given is not None for c in candidates)
+    together = {id(s.candidate): s for s in scores(now, candidates, hyper, quick=True)}
+    assert len(together) == len(candidates)
+    G, _ = now.total(hyper)
+    for c in candidates:
+        p = project(G, 0, now.nuisance, c.cols, now.precision(hyper), now.mean)
+        score, theta, cov = gain_within(p.S, p.s, c)
+        s = together[id(c)]
+        assert s.score == pytest.approx(score - c.charge, rel=1e-7, abs=1e-5), c.key
+        assert np.allclose(s.theta, theta, rtol=1e-6, atol=1e-9) and np.allclose(s.cov, cov, rtol=1e-6, atol=1e-12), c.key
+
+
+def test_a_group_whose_columns_repeat_each_other_counts_the_directions_that_it_has() -> None:
+    """The pseudo-inverse written out, of a matrix that is singular to rounding and of one that is not."""
+    rng = np.random.default_rng(5)
+    B = rng.normal(size=(4, 3, 3))
+    B[0, :, 2] = B[0, :, 1]  # two columns the same, next to no prior
+    S, s = B.transpose(0, 2, 1) @ B, rng.normal(size=(4, 3))
+    precision = np.where(np.arange(4)[:, None] == 0, 1e-16, rng.uniform(0.5, 2.0, (4, 3)))
+    value, theta, cov = gains(S, s, precision)
+    for k in range(4):
+        A = S[k] + np.diag(precision[k])
+        scale = 1.0 / np.sqrt(np.diag(A))
+        scaled = A * np.outer(scale, scale)
+        inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+        assert np.allclose(cov[k], inverse, rtol=1e-9) and np.allclose(theta[k], inverse @ s[k], rtol=1e-9)
+        if k:
+            sign, logdet = np.linalg.slogdet(A)
+            assert sign > 0
+            assert value[k] == pytest.approx(s[k] @ theta[k] - max(logdet - np.log(precision[k]).sum(), 0.0), rel=1e-9)
 
 
 def test_a_lag_that_is_not_there_has_no_evidence_although_a_free_coefficient_would_like_it(engine: Engine) -> None:

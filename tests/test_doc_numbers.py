@@ -112,7 +112,7 @@ FINENESS = (
     ("evidence/candidate", "HELD", "infinite"),
     ("evidence/engine", "EMPTY", "rounding"),
     ("evidence/engine", "RECENT CACHED", "how much is kept in memory"),
-    ("evidence/evidence", "RIDGES", "rounding"),
+    ("evidence/evidence", "RIDGES REPEATED", "rounding"),
     ("evidence/hypothesis", "GIVEN ROUNDS", "none; how often an iteration goes round"),
     ("explain/partial", "POINTS", "how many are drawn"),
     ("explain/residual", "BINS FEW_BINS BLOCK", "how finely a pattern is drawn"),

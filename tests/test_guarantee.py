@@ -51,6 +51,11 @@ def test_a_margin_that_was_given_is_not_called_calibrated() -> None:
         assert "margin up to 1.27, as given" in text and "calibrat" not in text
 
 
+def test_one_recording_is_spoken_of_as_one() -> None:
+    text = g.words(Guarantee(0, 0, 1.0, g.CONFIDENCE, "", 1, None), 1, 1, 1.98, g.SAME_MOTION, SCOPE)
+    assert text.startswith(f"The one recorded trial is enclosed {SCOPE}") and "With only 1 independent motion none" in text
+
+
 def test_three_hundred_motions_from_recordings_to_the_sentence(tmp_path: Path) -> None:
     path = save_trials(tmp_path / "r.parquet", recordings((1.0, 0.5), (4.0, 2.0), suites=300, trials=1, seconds=0.4), names(2))
     found = identify(arm(names(2)), [path], Settings(horizon=0.2))

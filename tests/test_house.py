@@ -20,7 +20,7 @@ PARTS = ("model", "offline", "monitor", "fmu")
 # who may use whom: only those further down (offline, monitor and fmu never each other)
 LAYERS = (
     ("cli",), ("offline", "monitor", "fmu"), ("simulation",), ("reach",), ("artifact",), ("recording",), ("effects",), ("robot",),
-    ("sets",), ("ring",), ("core",), ("serving",), ("unpacked",), ("files",), ("progress",), ("notebook",), ("errors",), ("types",),
+    ("sets",), ("ring",), ("core",), ("serving",), ("unpacked",), ("files",), ("progress",), ("notebook",), ("words",), ("errors",), ("types",),
 )  # fmt: skip
 LEVEL = {name: k for k, layer in enumerate(LAYERS) for name in layer}
 # what the monitor's host must not need
@@ -197,6 +197,20 @@ def test_what_the_monitors_host_imports_stays_light(what: str) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-1500:]
+
+
+def test_no_command_waits_for_parts_of_scipy_that_it_may_not_use() -> None:
+    """A second of processor time before the first word: these are imported where they are called."""
+    slow = ("scipy.stats", "scipy.optimize", "scipy.signal", "scipy.interpolate", "scipy.spatial")
+    names = {"stopset.offline.identify.pipeline", "stopset.offline.diagnose.diagnose", "stopset.offline.inspect.inspection"}
+    assert names <= set(modules())  # what commands load
+    for name in modules():
+        for node in tree(name).body:
+            if isinstance(node, ast.ImportFrom):
+                loaded = {node.module or "", *(f"{node.module}.{a.name}" for a in node.names)}
+            else:
+                loaded = {a.name for a in node.names} if isinstance(node, ast.Import) else set()
+            assert not [x for x in loaded if x.startswith(slow)], name
 
 
 def test_bus_libraries_stay_in_the_links_and_importers() -> None:

@@ -487,7 +487,7 @@ def test_compare_diagnose_and_replay_take_the_file(tmp_path: Path, capsys: pytes
     assert f"{len(trial.t)} samples" in capsys.readouterr().out
     # read like any recording; that one motion is too little to fit an effect on is diagnosis's own affair
     assert main(["diagnose", str(model), "--data", str(path)]) == 2
-    assert "1 trials" in capsys.readouterr().err
+    assert "1 trial" in capsys.readouterr().err
 
 
 def test_no_stretch_between_lost_cycles_counts_as_a_repetition_of_another(tmp_path: Path) -> None:

@@ -34,12 +34,14 @@ class Polynomial:
         """Values at the rows of ``z`` (N, d) -> (N,)."""
         return evaluate(compiled((self,)), np.atleast_2d(np.asarray(z, float)))[:, 0]
 
-    def recentred(self, centre: Array) -> Polynomial:
+    def recentred(self, centre: Array, cut: int | None = None) -> Polynomial:
         """The same function written in the deviation from ``centre`` (d,): ``P.recentred(a)(w) == P(a + w)``.
 
-        Binomial expansion, one variable after the other; monomials that cancel to zero are dropped.
+        Binomial expansion, one variable after the other; monomials that cancel to zero are dropped, and so are those of a
+        total degree above ``cut``, as soon as the variables done have it: what is left is the same to the bit.
         """
         e, c = self.exponent, self.coefficient
+        done = np.asarray(centre) == 0
         for i in np.flatnonzero(np.asarray(centre)):
             power = e[:, i]
             rows = np.repeat(np.arange(power.size), power + 1)
@@ -48,7 +50,14 @@ class Polynomial:
             new_c = c[rows] * table[power[rows], degree] * centre[i] ** (power[rows] - degree)
             new_e = e[rows].copy()
             new_e[:, i] = degree
+            done[i] = True
+            if cut is not None:
+                low = new_e[:, done].sum(axis=1) <= cut
+                new_e, new_c = new_e[low], new_c[low]
             e, c = collected(new_e, new_c)
+        if cut is not None:
+            low = e.sum(axis=1) <= cut
+            e, c = e[low], c[low]
         return Polynomial(e, c)
 
 

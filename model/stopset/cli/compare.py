@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
 from stopset.cli.steps import steps
+from stopset.words import many
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -56,7 +57,7 @@ def _over(model: Model, found: Comparison) -> str:
     s = found.survey
     seconds = s.samples * s.dt
     return (
-        f"{len(found.rows)} {s.phase} trials, {seconds:.0f} s of {len(set(s.motion.values()))} independent motions, with "
+        f"{many(len(found.rows), f'{s.phase} trial')}, {seconds:.0f} s of {many(len(set(s.motion.values())), 'independent motion')}, with "
         f"model {model.abstraction.kind} of order {model.abstraction.order}"
     )
 
@@ -93,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if len(worst) > WORST and not args.all:
         say(f"violation: {len(worst) - WORST} more, --all lists them")
-    say(f"{len(found.violations)} of {len(found.rows)} recordings leave the sets; {found.outside_domain} leave the domain")
+    say(f"of {many(len(found.rows), 'recording')} {len(found.violations)} left the sets and {found.outside_domain} the domain")
     for name, (held, out) in found.bands.items():
         say(f"{name}: {out} of the {held} recordings at its temperatures leave its narrower sets (nothing is promised of them)")
     say(f"when it was identified: {model.guarantee.text}")

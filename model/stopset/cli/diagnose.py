@@ -6,6 +6,7 @@ import argparse
 
 from stopset.cli.common import add_output_options, check_outputs, listed, say, write_json
 from stopset.cli.steps import steps
+from stopset.words import many
 
 HELP = "which physical effect is missing, at which joint, and what would decide"
 
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     recordings = read_recordings(args.data, model.robot)
     with steps("diagnose", args.data, quiet=args.quiet) as progress:
         found, against = diagnose_model(model, recordings, names, progress)
-    say(f"{found.verdict} (against the {against}; {found.trials} trials)")
+    say(f"{found.verdict} (against the {against}; {many(found.trials, 'trial')})")
     for note in found.notes:
         say(f"note: {note}")
     for out in found.taken_out:

@@ -17,6 +17,7 @@ from stopset.cli.common import (
 )
 from stopset.cli.steps import steps
 from stopset.errors import StopsetError
+from stopset.words import many
 
 if TYPE_CHECKING:
     from stopset.artifact import Model
@@ -227,8 +228,8 @@ def summary(found: Identification) -> str:
     s = m.powered
     n = m.n
     lines = [
-        f"{m.robot.name}: model {m.abstraction.kind}, order {m.abstraction.order}, {found.survey.trials} trials of "
-        f"{len(set(found.survey.motion.values()))} independent motions, step {s.dt * 1e3:g} ms, horizon {s.horizon:.2f} s",
+        f"{m.robot.name}: model {m.abstraction.kind}, order {m.abstraction.order}, {many(found.survey.trials, 'trial')} of "
+        f"{many(len(set(found.survey.motion.values())), 'independent motion')}, step {s.dt * 1e3:g} ms, horizon {s.horizon:.2f} s",
         m.guarantee.text,
         "",
     ]

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from stopset.cli.common import add_output_options, add_robot_options, check_outputs, say, write_json
+from stopset.words import many
 
 if TYPE_CHECKING:
     from stopset.offline.inspect import Inspection
@@ -50,12 +51,14 @@ def _print_answer(r: Inspection) -> None:
         _list("wrong", wrong)
         return
     rate = f"{o['rate_hz']:.4g} Hz" if o["rate_hz"] else "unknown rate"
-    say(f"{r.path}\n  {o['trials']} trials, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, "
+    say(f"{r.path}\n  {many(o['trials'], 'trial')}, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, "
         f"{o['velocity']} velocity, {o['clock']} clock; channels {', '.join(o['channels'])}")  # fmt: skip
     for cause in o["said"]:
         say(f"  the monitor that wrote it took its violation for: {cause}")
     for phase, p in o["phases"].items():
-        say(f"  {phase:12} {p['trials']:5} trials of {p['motions']} suites, {p['seconds']:.4g} s")
+        say(
+            f"  {phase:12} {p['trials']:5} trial{'s' if p['trials'] != 1 else ''} of {many(p['motions'], 'suite')}, {p['seconds']:.4g} s"
+        )
     for joint, x in o["joints"].items():
         say(f"  {joint:24} q {_range(x['q'], 'rad')}  dq {_range(x['dq'], 'rad/s')}  tau {_range(x['tau'], 'N m')}")
     _list("wrong", wrong)

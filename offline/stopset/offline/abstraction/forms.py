@@ -53,9 +53,8 @@ class DynamicsForms:
         algebra = Algebra(2 * (n - 1), order, live=n**3, sparse=None if inverse else terms(n))
 
         def about(x: Taylor, cut: int) -> Taylor:
-            local = Polynomial(x.exponents, x.value).recentred(centre - self.centre)
-            low = local.exponent.sum(axis=1) <= cut
-            return algebra.from_exponents(local.exponent[low], local.coefficient[low])
+            local = Polynomial(x.exponents, x.value).recentred(centre - self.centre, cut)
+            return algebra.from_exponents(local.exponent, local.coefficient)
 
         M = [[about(self.M[i][j], order) if j <= i else self.M[i][j] for j in range(n)] for i in range(n)]
         M = [[M[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]

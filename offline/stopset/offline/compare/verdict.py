@@ -24,6 +24,12 @@ class ComparisonVerdict:
     next: str
 
 
+def _of(out: int, count: int) -> str:
+    """How many recordings leave ..., in words."""
+    some = f"all {count}" if out == count else f"{out} of {count}"
+    return "the recording leaves" if count == 1 else f"{some} recordings {'leaves' if out == 1 else 'leave'}"
+
+
 def verdict(found: Comparison) -> ComparisonVerdict:
     """What a comparison says, first thing.
 
@@ -39,15 +45,21 @@ def verdict(found: Comparison) -> ComparisonVerdict:
         )
     if beyond == count and not out:
         return ComparisonVerdict(
-            f"Not covered: all {count} recordings leave the model's domain, where it promises nothing.", "bad",
+            f"Not covered: {_of(count, count)} the model's domain, where it promises nothing.", "bad",
             "compare with recordings inside the domain (see the table at the end), or identify with these.",
         )  # fmt: skip
-    left = f" {beyond} of the {count} leave the model's domain, where it promises nothing." if beyond else ""
+    left = (
+        f" {beyond} of the {count} {'leaves' if beyond == 1 else 'leave'} the model's domain, where it promises nothing."
+        if beyond
+        else ""
+    )
+    left = left if count > 1 or not beyond else " It leaves the model's domain, where it promises nothing."
     if out:
         where = where or _left(found)
-        text = f"{where}Not conformant: {out} of {count} recordings leave the predicted sets.{left}"
+        text = f"{where}Not conformant: {_of(out, count)} the predicted sets.{left}"
         return ComparisonVerdict(text, "bad", f"do not rely on bounds of this model; {SEEN if found.said else DIAGNOSE}.")
-    text = f"{where}All {count} recordings stay inside the predicted sets.{left}"
+    stay = f"All {count} recordings stay" if count != 1 else "The recording stays"
+    text = f"{where}{stay} inside the predicted sets.{left}"
     if healthy:
         todo = "nothing is left to explain; `stopset stops` bounds the stops, `stopset monitor` watches the arm."
     elif where:

@@ -20,6 +20,7 @@ from stopset.offline.conform.program import SOLVER_SLACK
 from stopset.reach.flowpipe import Responses
 from stopset.sets import Box
 from stopset.types import Array
+from stopset.words import many
 
 CONFIDENCE = 0.95
 FOLDS = 5
@@ -105,8 +106,9 @@ def words(g: Guarantee, trials: int, motions: int, margin: float, how: str, scop
     ``how`` the margin came about: `GIVEN`, `OTHER_MOTIONS`, `REPETITIONS`, `SAME_MOTION` or `NO_REPETITION`; ``scope``: what is predicted
     from where.
     """
-    plural = "s" if motions != 1 else ""
-    seen = f"All {trials} recorded trials of {motions} independent motion{plural} are enclosed {scope} (margin up to {margin:.2f}, {how})."
+    moved = many(motions, "independent motion")
+    all_of = f"All {trials} recorded trials of {moved} are" if trials != 1 else "The one recorded trial is"
+    seen = f"{all_of} enclosed {scope} (margin up to {margin:.2f}, {how})."
     if g.motions == 0 and motions >= FEWEST_MOTIONS:
         return (
             f"{seen} The nominal model was fitted to every motion that could have been held out: nothing statistical is promised "
@@ -114,10 +116,10 @@ def words(g: Guarantee, trials: int, motions: int, margin: float, how: str, scop
         )
     if g.motions == 0:
         return (
-            f"{seen} With only {motions} independent motion{plural} none could be held out: nothing statistical is promised for "
+            f"{seen} With only {moved} none could be held out: nothing statistical is promised for "
             "other motions; record at least eight."
         )
-    held = f"{seen} Of {g.motions} held-out motion{'s' if g.motions != 1 else ''} {g.violated} left the sets with this margin"
+    held = f"{seen} Of {many(g.motions, 'held-out motion')} {g.violated} left the sets with this margin"
     if g.upper_bound >= 1.0:
         return f"{held}: nothing statistical can be promised for other motions; look for what differs in them, or record more."
     text = (

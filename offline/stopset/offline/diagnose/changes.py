@@ -213,12 +213,11 @@ def _judged(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelCh
 
 def _left_out(y: Array, X: Array, block: np.ndarray, count: int) -> tuple[Array, tuple[Array, Array]]:
     """(rows, n) errors on blocks that a fit has not seen; coefficients of the whole (k,) and without each block (count, k)."""
-    k = X.shape[2]
     A, b = _normal(y, X, block, count)
-    size = np.sqrt(np.maximum(np.diagonal(A.sum(axis=0)), 1e-30))
-    ridge = RIDGE * np.diag(size**2)
-    theta = np.linalg.solve(A.sum(axis=0) + ridge, b.sum(axis=0)) if k else np.zeros(0)
-    rest = np.array([np.linalg.solve(A.sum(axis=0) - A[g] + ridge, b.sum(axis=0) - b[g]) if k else theta for g in range(count)])
+    ridge = RIDGE * np.diag(np.maximum(np.diagonal(A.sum(axis=0)), 1e-30))
+    whole, right = A.sum(axis=0), b.sum(axis=0)
+    theta = np.linalg.solve(whole + ridge, right)
+    rest = np.linalg.solve(whole - A + ridge, (right - b)[:, :, None])[:, :, 0]
     return y - np.einsum("rjk,rk->rj", X, rest[block]), (theta, rest)
 
 

@@ -34,6 +34,7 @@ from stopset.offline.nominal.output_error import fit_joint, fit_lag, gauss_newto
 from stopset.progress import Progress, silent
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
+from stopset.words import many
 
 STEP = 0.016  # [s] the data are averaged to about this: effects of friction and load need no finer step
 SCREENING = 2  # steps of the fit that pick the contenders
@@ -207,7 +208,7 @@ def search_open_loop(
     odd = [r for r in trials if r.repetition % 2 == 1]
     if min(len(even), len(odd)) < limit.OPEN_LOOP_TRIALS:
         raise RecordingError(
-            f"{len(trials)} trials, {len(odd)} of them odd repetitions; expected suites repeated at least six times: an effect "
+            f"{many(len(trials), 'trial')}, {len(odd)} of them odd repetitions; expected suites repeated at least six times: an effect "
             "is fitted on the even repetitions and judged on the odd ones"
         )
     factor = max(1, round(STEP / found.dt))

@@ -26,6 +26,7 @@ from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
+from stopset.words import many
 
 INNER = " These errors are within the motions, whatever scale their friction has: how it scatters between them hides what this explains."
 
@@ -66,7 +67,7 @@ def examine(
 
     ``progress`` is given each step.
     """
-    progress(f"{len(recordings)} recordings; preparing their rows")
+    progress(f"{many(len(recordings), 'recording')}; preparing their rows")
     engine = Engine.build(robot, recordings, tolerance, known)
     already = _with_own(Hypothesis(engine), fitted)
     progress(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")

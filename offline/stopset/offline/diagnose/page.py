@@ -15,6 +15,7 @@ from stopset.offline.diagnose.answer import Diagnosis, Ranked
 from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.page import COLOURS, Page, number
 from stopset.types import Array
+from stopset.words import many
 
 WORDS = {
     "none": "none: No effect of the catalogue is missing: what is left is noise and the usual scatter of friction.",
@@ -67,7 +68,7 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
                 [(b.effect, ", ".join(b.joints) or "all", b.why, b.experiment) for b in found.not_identifiable],
                 "An effect of its usual size (a third of the joint's friction, if nothing else is known) would not be claimed here.",
             )
-    out.text(f"{found.trials} trials, {found.rows} rows, measured against the {against}.")
+    out.text(f"{many(found.trials, 'trial')}, {found.rows} rows, measured against the {against}.")
     return out
 
 

@@ -172,7 +172,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis candidate", candidate, "HELD"),
     ("diagnosis engine", engine, "EMPTY"),
     ("diagnosis engine", hypothesis, "GIVEN ROUNDS"),
-    ("diagnosis evidence", evidence, "RIDGES"),
+    ("diagnosis evidence", evidence, "RIDGES REPEATED"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis settlement", settle, "PARTS SEARCHES ALONG CLIMB FALLS"),

@@ -48,6 +48,7 @@ from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.progress import Progress, silent
 from stopset.recording import Recording
 from stopset.robot import Robot
+from stopset.words import many
 
 __all__ = ["Identification", "Keep", "Settings", "identified", "identify"]
 
@@ -90,7 +91,7 @@ def identified(
     for text in warnings:
         progress(text)
     meta = replace(meta, warnings=(*meta.warnings, *warnings))
-    progress(f"{found.trials} {found.phase} trials, {found.samples} samples")
+    progress(f"{many(found.trials, f'{found.phase} trial')}, {found.samples} samples")
     # what is held out to judge the sets must not have shaped the nominal model either
     held = found.held_out
     learnt = replace(found, sample=tuple(r for r in found.sample if r.suite_key not in held))
@@ -182,7 +183,7 @@ def _shared(run: Run, known: Sequence[Fitted]) -> tuple[Gain, ...]:
 def _with_sets(run: Run, nominal: NominalPart, progress: Progress, scheduler: str | None, tally: Tally | None) -> Identification:
     found, settings = run.survey, run.settings
     bands = cut(found.means, found.temp, settings.bands) if settings.bands else None
-    progress(f"{run.motions} independent motions; deviations of every prediction up to {run.horizon:.2f} s ahead")
+    progress(f"{many(run.motions, 'independent motion')}; deviations of every prediction up to {run.horizon:.2f} s ahead")
     if nominal.abstraction.linear:
         form = SetForm(bands, template_of(run, nominal) if settings.shape == "zonotope" else None)
         counter = TrialCounter(found.trials, progress)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtr
 
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.tally import SignalSums
@@ -38,7 +38,7 @@ def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     count, total, squares = t.turns[:, judged]
     step = total / count
     error = np.sqrt(np.maximum(squares / count - step**2, 0.0) / (count - 1))
-    sure = stats.norm.ppf(np.clip(stats.t.cdf(step / np.maximum(error, 1e-9), count - 1), 1e-12, 1 - 1e-12))
+    sure = ndtri(np.clip(stdtr(count - 1, step / np.maximum(error, 1e-9)), 1e-12, 1 - 1e-12))
     together = len(judged) > 1 and float(sure.sum()) < -TURNED * np.sqrt(len(judged)) and int((step < 0).sum()) * 2 > len(judged)
     do = "turn the sign of tau, of all joints as it seems" if together else "turn the sign of tau (or of q and dq)"
     return [

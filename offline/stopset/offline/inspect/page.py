@@ -12,6 +12,7 @@ from plotly.subplots import make_subplots
 from stopset.offline.inspect.inspection import Inspection, inspect_recordings
 from stopset.offline.report.page import COLOURS, Page
 from stopset.robot import Robot
+from stopset.words import many
 
 SIGNALS = (("q", "q [rad]"), ("dq", "dq [rad/s]"), ("tau", "tau [N m]"))
 
@@ -47,7 +48,7 @@ def _file(out: Page, r: Inspection) -> None:
         out.verdict(r.refused, "bad")
     rate = f"{o['rate_hz']:.4g} Hz" if o["rate_hz"] else "unknown rate"
     out.text(
-        f"{o['trials']} trials, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, {o['velocity']} velocity, "
+        f"{many(o['trials'], 'trial')}, {o['samples']} samples, {o['seconds']:.4g} s at {rate}; {o['effort']}, {o['velocity']} velocity, "
         f"{o['clock']} clock; channels {', '.join(o['channels'])}."
     )
     for cause in o["said"]:

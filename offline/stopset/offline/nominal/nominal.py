@@ -26,6 +26,7 @@ from stopset.offline.nominal.unidentifiable import base_count, undetermined
 from stopset.recording.types import Recording, Recordings
 from stopset.robot import Robot
 from stopset.types import Array
+from stopset.words import many
 
 DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is applied only where it is far larger than that
 LOW_PASS = "low-pass of the recorded torque, without phase"
@@ -264,7 +265,7 @@ def _nominal(
             )
     through = data.settings.low_pass
     filtered = () if through == 0.0 else (in_words(through),)
-    skipped = [f"{count} recordings left out: {why}" for why, count in sorted(data.skipped.items())]
+    skipped = [f"{many(count, 'recording')} left out: {why}" for why, count in sorted(data.skipped.items())]
     return Nominal(
         joints=robot.joints,
         pi=result.theta[: 10 * n].reshape(n, 10),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.evidence import gain
+from stopset.offline.diagnose.evidence.evidence import gain, gains
 from stopset.types import Array, Index
 
 HELD = 1e12  # prior precision of a term held at zero
@@ -68,6 +68,43 @@ class Scored:
         return all(t.lo - b <= v <= t.hi + b for t, v, b in zip(self.candidate.effect.terms, self.theta, beyond, strict=True))
 
 
+@dataclass(frozen=True, slots=True)
+class Alike:
+    """Candidates with as many free terms each, judged at once: ``which`` (m,) they are; their columns, prior deviations and ranges (m, k)."""
+
+    which: list[int]
+    cols: Index
+    sd: Array
+    lo: Array
+    hi: Array
+    price: Array
+
+    @staticmethod
+    def of(candidates: Sequence[Candidate], which: Sequence[int]) -> tuple[list[Alike], list[int]]:
+        """Those ``which`` are alike in that, and the others: given ones, and laws of `limit.MANY` terms."""
+        own = [k for k in which if candidates[k].given is not None or len(candidates[k].effect.terms) >= limit.MANY]
+        groups: dict[int, list[int]] = {}
+        for k in sorted(set(which) - set(own)):
+            groups.setdefault(len(candidates[k].effect.terms), []).append(k)
+
+        def group(which: list[int]) -> Alike:
+            of = [candidates[k] for k in which]
+            ends = np.array([[(t.lo, t.hi) for t in c.effect.terms] for c in of], dtype=float)
+            cols, sd = np.array([c.cols for c in of]), np.array([c.sd for c in of])
+            return Alike(which, cols, sd, ends[..., 0], ends[..., 1], np.array([c.price for c in of]))
+
+        return [group(x) for x in groups.values()], own
+
+    def gains(self, S: Array, s: Array) -> tuple[Array, Array, Array]:
+        """`gain_within` of all: ``S`` (m, k, k), ``s`` (m, k)."""
+        precision = 1.0 / self.sd**2
+        value, theta, cov = gains(S, s, precision)
+        beyond = ~((self.lo <= theta) & (theta <= self.hi)) & (self.lo <= 0.0) & (self.hi >= 0.0)
+        if theta.shape[1] > 1 and (again := beyond.any(axis=1) & ~beyond.all(axis=1)).any():
+            value[again], theta[again], cov[again] = gains(S[again], s[again], np.where(beyond, HELD, precision)[again])
+        return value - self.price, theta, cov
+
+
 def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
     """`gain`; of several terms those that come out beyond their range are held at zero, where that lies in it."""
     terms = c.effect.terms
@@ -75,8 +112,11 @@ def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
         value = float(2 * c.given * s[0] - c.given**2 * S[0, 0] - c.price)
         return value, np.array([c.given]), np.zeros((1, 1))
     if len(terms) >= limit.MANY:
-        value, theta, cov = max((gain(S, s, 1.0 / (size * c.sd) ** 2) for size in limit.SIZES), key=lambda g: g[0])
-        value -= 2 * float(np.log(len(limit.SIZES)))
+        precision = 1.0 / (np.array(limit.SIZES)[:, None] * c.sd) ** 2
+        m, k = precision.shape
+        values, thetas, covs = gains(np.broadcast_to(S, (m, k, k)), np.broadcast_to(s, (m, k)), precision)
+        best = int(np.argmax(values))
+        value, theta, cov = float(values[best]) - 2 * float(np.log(len(limit.SIZES))), thetas[best], covs[best]
     else:
         value, theta, cov = gain(S, s, 1.0 / c.sd**2)
     beyond = np.array([not t.lo <= v <= t.hi and t.lo <= 0.0 <= t.hi for t, v in zip(terms, theta, strict=True)])

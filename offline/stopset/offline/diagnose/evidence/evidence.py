@@ -19,16 +19,20 @@ from scipy.linalg import solve_triangular
 
 from stopset.types import Array, Index
 
+REPEATED = 1e-12  # of a matrix's largest eigenvalue: rounding
 RIDGES = (1e-10, 1e-8, 1e-6, 1e-4)  # relative, the first that makes a matrix of repeated columns regular
 
 
 @dataclass(slots=True)
 class JointGram:
-    """One joint's whitened columns ``X`` (K, c) and their sums: ``G`` (F, c, c) by fold; per trial ``g`` (T, r, c) = f'X and
-    ``ff`` (T, r) = f'f with the random effects' columns ``f`` (K, r), turned within each trial so that these are orthogonal;
-    ``index`` (c,): the columns' numbers in the whole."""
+    """One joint's whitened columns and their sums.
 
-    X: Array
+    ``parts``: the columns (K, ...) in blocks beside each other, which Grams of one engine share; ``G`` (F, c, c) by fold; per trial
+    ``g`` (T, r, c) = f'X and ``ff`` (T, r) = f'f with the random effects' columns ``f`` (K, r), turned within each trial so that
+    these are orthogonal; ``index`` (c,): the columns' numbers in the whole.
+    """
+
+    parts: tuple[Array, ...]
     f: Array
     row_fold: Index  # (K,)
     starts: Index  # (T,) first row of each trial
@@ -41,6 +45,16 @@ class JointGram:
     ff: Array
     _at: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
 
+    @property
+    def X(self) -> Array:
+        """(K, c) all columns, copied."""
+        return np.concatenate(self.parts, axis=1)
+
+    def _places(self) -> list[tuple[Array, int, int]]:
+        """Each part with its first column's place and that after its last one."""
+        ends = np.cumsum([p.shape[1] for p in self.parts])
+        return [(p, int(end) - p.shape[1], int(end)) for p, end in zip(self.parts, ends, strict=True)]
+
     @staticmethod
     def of(X: Array, f: Array, trial: Index, fold_of_trial: Index, folds: int, index: Index) -> JointGram:
         """Sums of ``X``; ``trial`` (K,) of each row, trials together, -1 for poses at the end (they count to fold 0)."""
@@ -50,7 +64,7 @@ class JointGram:
         used = trial[moving][starts]
         r = f.shape[1]
         empty = JointGram(
-            X[:, :0], f, np.where(moving, fold_of_trial[trial], 0), starts, ends, used, fold_of_trial[used], index[:0],
+            (), f, np.where(moving, fold_of_trial[trial], 0), starts, ends, used, fold_of_trial[used], index[:0],
             np.zeros((folds, 0, 0)), np.zeros((len(starts), r, 0)), np.zeros((len(starts), r)),
         )  # fmt: skip
         empty._orthogonal()
@@ -73,24 +87,29 @@ class JointGram:
 
     def bordered(self, w: Array, index: Index, *, rows: bool = True) -> JointGram:
         """With the further columns ``w`` (K, k); without any ``rows`` where only the sums are asked for."""
-        k, c = w.shape[1], self.X.shape[1]
+        k, c = w.shape[1], len(self.index)
         G = np.zeros((len(self.G), c + k, c + k))
         G[:, :c, :c] = self.G
         runs = np.flatnonzero(np.diff(self.row_fold, prepend=-1) != 0)  # rows of one fold beside each other
         for start, end in zip(runs, np.append(runs[1:], len(w)), strict=True):
-            G[self.row_fold[start], :c, c:] += self.X[start:end].T @ w[start:end]
+            for part, first, last in self._places():
+                G[self.row_fold[start], first:last, c:] += part[start:end].T @ w[start:end]
             G[self.row_fold[start], c:, c:] += w[start:end].T @ w[start:end]
         G[:, c:, :c] = G[:, :c, c:].transpose(0, 2, 1)
-        X = np.concatenate([self.X, w], axis=1) if rows else self.X[:, :0]
         return JointGram(
-            X, self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
+            (*self.parts, w) if rows else (), self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
             np.concatenate([self.index, index]), G, np.concatenate([self.g, self._by_trial(w)], axis=2), self.ff,
         )  # fmt: skip
 
     def keep(self, local: Index, *, rows: bool = True) -> JointGram:
-        """The same sums over some of the columns; without their ``rows`` where only the sums are asked for."""
+        """The same sums over some of the columns, ``local`` in order; without their ``rows`` where only the sums are asked for."""
+        taken = []
+        for part, first, last in self._places() if rows else ():
+            here = local[(first <= local) & (local < last)] - first
+            if len(here):
+                taken.append(part if len(here) == last - first else part[:, here])
         return JointGram(
-            self.X[:, local] if rows else self.X[:, :0], self.f, self.row_fold, self.starts, self.ends, self.trial,
+            tuple(taken), self.f, self.row_fold, self.starts, self.ends, self.trial,
             self.trial_fold, self.index[local], self.G[:, local][:, :, local], self.g[:, :, local], self.ff,
         )  # fmt: skip
 
@@ -111,9 +130,16 @@ class JointGram:
         logdet = np.log(ff + ratio).sum() - ff.size * np.log(ratio)
         return (G - w.T @ w) / kappa, float(logdet)
 
+    def times(self, theta: Array) -> Array:
+        """(K,) the columns' sum with the coefficients ``theta`` (c,)."""
+        out = np.zeros(len(self.f))
+        for part, first, last in self._places():
+            out += part @ theta[first:last]
+        return out
+
     def residual(self, theta: Array, sigma: float, kappa: float) -> Array:
         """(K,) whitened residual at the coefficients ``theta`` (c,), each trial's friction scales taken out."""
-        out = self.X @ theta
+        out = self.times(theta)
         b = (self.g @ theta) / (self.ff + kappa / sigma**2)
         last = int(self.ends[-1]) if len(self.ends) else 0
         out[:last] -= np.sum(self.f[:last] * np.repeat(b, self.ends - self.starts, axis=0), axis=1)
@@ -164,15 +190,24 @@ def gain(S: Array, s: Array, precision: Array) -> tuple[float, Array, Array]:
 
     ``S, s``: the group's part of a `Projection`; ``precision`` (k,): of the parameters' zero-mean normal prior.
     """
-    if len(s) == 1:
-        total = max(float(S[0, 0] + precision[0]), 1e-300)
-        value = float(s[0] ** 2 / total - max(np.log(total / precision[0]), 0.0))
-        return value, s / total, np.array([[1.0 / total]])
-    A = S + np.diag(precision)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    scaled = A * np.outer(scale, scale)
-    cov = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
-    theta = cov @ s
-    sign, logdet = np.linalg.slogdet(scaled)
-    occam = (logdet if sign > 0 else 0.0) - 2 * np.log(scale).sum() - np.log(precision).sum()
-    return float(s @ theta - max(occam, 0.0)), theta, cov
+    value, theta, cov = gains(S[None], s[None], precision[None])
+    return float(value[0]), theta[0], cov[0]
+
+
+def gains(S: Array, s: Array, precision: Array) -> tuple[Array, Array, Array]:
+    """`gain` of m groups of as many terms: ``S`` (m, k, k), ``s`` and ``precision`` (m, k); (m,), (m, k), (m, k, k)."""
+    if s.shape[1] == 1:
+        total = np.maximum(S[:, :, 0] + precision, 1e-300)
+        value = s**2 / total - np.maximum(np.log(total / precision), 0.0)
+        return value[:, 0], s / total, 1.0 / total[:, :, None]
+    A = S + precision[:, :, None] * np.eye(s.shape[1])
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(A, axis1=1, axis2=2), 1e-300))
+    w, V = np.linalg.eigh(A * (scale[:, :, None] * scale[:, None, :]))
+    size = np.abs(w)
+    sound = size > REPEATED * size.max(axis=1, keepdims=True)  # a group whose columns repeat each other has fewer directions
+    half = V * scale[:, :, None]
+    cov = (half * (sound / np.where(sound, w, 1.0))[:, None, :]) @ half.transpose(0, 2, 1)
+    theta = (cov @ s[:, :, None])[:, :, 0]
+    logdet = np.where(np.prod(np.sign(w), axis=1) > 0, np.log(np.maximum(size, 1e-300)).sum(axis=1), 0.0)
+    occam = logdet - 2 * np.log(scale).sum(axis=1) - np.log(precision).sum(axis=1)
+    return (s * theta).sum(axis=1) - np.maximum(occam, 0.0), theta, cov

@@ -42,6 +42,9 @@ class Hypothesis:
     held: tuple[int, ...] = ()
     forms: tuple[Form, ...] = ()
     _view: list[Hypothesis] = field(default_factory=list, init=False, compare=False, repr=False)
+    _sums: dict[tuple[tuple[float, ...], ...], tuple[Array, float]] = field(
+        default_factory=dict, init=False, compare=False, repr=False
+    )
 
     # -- others beside it -------------------------------------------------------------------------------------------
 
@@ -175,8 +178,15 @@ class Hypothesis:
         return -(p.rss + p.logdet - float(np.log(precision[precision > 0]).sum()) + logdet + price)
 
     def project(self, h: Hyper) -> tuple[Projection, float]:
-        """The coefficients, and the friction scales' log determinant."""
-        G, logdet = self.total(h)
+        """The coefficients, and the friction scales' log determinant, of a `view`, whose columns stay as they are.
+
+        The sums of the last scatter and noise are kept: how far description and forms may be off changes none of them.
+        """
+        key = (h.sigma, h.kappa)
+        if key not in self._sums:
+            self._sums.clear()
+            self._sums[key] = self.total(h)
+        G, logdet = self._sums[key]
         return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h), self.mean), logdet
 
     def kappa(self, joint: int, theta: Array, sigma: float) -> float:

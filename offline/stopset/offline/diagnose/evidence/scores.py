@@ -9,7 +9,7 @@ import numpy as np
 
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Candidate, Scored, gain_within
+from stopset.offline.diagnose.evidence.candidate import Alike, Candidate, Scored, gain_within
 from stopset.offline.diagnose.evidence.evidence import Projection, project
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.types import Array, Index
@@ -21,19 +21,30 @@ class _Best:
     def __init__(self, candidates: Sequence[Candidate]) -> None:
         self.candidates = candidates
         self.scored: dict[int, Scored] = {}
+        self.groups: dict[tuple[int, ...], tuple[list[Alike], list[int]]] = {}
 
     def consider(self, p: Projection, rest: Index, bonus: float, which: Sequence[int]) -> None:
-        place = {column: k for k, column in enumerate(rest.tolist())}
-        for k in which:
-            c = self.candidates[k]
-            ix = [place[column] for column in c.cols.tolist()]
-            value, theta, cov = gain_within(p.S[np.ix_(ix, ix)], p.s[ix], c)
-            value += bonus - c.charge
-            if k not in self.scored or value > self.scored[k].score:
-                self.scored[k] = Scored(c, value, theta, cov)
+        """Candidates ``which`` by a projection's columns ``rest``, in order."""
+        asked = tuple(which)
+        if asked not in self.groups:
+            self.groups[asked] = Alike.of(self.candidates, asked)
+        alike, own = self.groups[asked]
+        for k in own:
+            ix = np.searchsorted(rest, self.candidates[k].cols)
+            self._put(k, bonus, *gain_within(p.S[np.ix_(ix, ix)], p.s[ix], self.candidates[k]))
+        for group in alike:
+            at = np.searchsorted(rest, group.cols)
+            for found in zip(group.which, *group.gains(p.S[at[:, :, None], at[:, None, :]], p.s[at]), strict=True):
+                self._put(found[0], bonus, *found[1:])
+
+    def _put(self, k: int, bonus: float, value: float, theta: Array, cov: Array) -> None:
+        c = self.candidates[k]
+        score = float(value) + (bonus - c.charge)
+        if k not in self.scored or score > self.scored[k].score:
+            self.scored[k] = Scored(c, score, theta, cov)
 
     def ranked(self) -> list[Scored]:
-        return sorted(self.scored.values(), key=lambda r: -r.score)
+        return sorted((self.scored[k] for k in sorted(self.scored)), key=lambda r: -r.score)
 
 
 def scores(now: Hypothesis, candidates: Sequence[Candidate], hyper: Hyper, *, quick: bool = False) -> list[Scored]:

@@ -63,7 +63,7 @@ def held_out(now: Hypothesis, hyper: Hyper) -> HeldOut:
             here = folds[j][:k] == fold
             if few:
                 here &= ~_guarded(engine, j)
-            whole = gram.X @ theta[gram.index]
+            whole = gram.times(theta[gram.index])
             within = whole if few else gram.residual(theta[gram.index], hyper.sigma[j], hyper.kappa[j])
             square[j] += float(np.sum(rows.whiten.coloured(whole[:k])[here] ** 2))
             inner[j] += float(np.sum(rows.whiten.coloured(within[:k])[here] ** 2))

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from stopset.effects import get
 from stopset.effects.base import Shape
@@ -191,6 +190,8 @@ def _sought_again(now: Hypothesis, x: Settled, hyper: Hyper) -> Settled:
 
 def _summit(now: Hypothesis, start: Scored, hyper: Hyper) -> Scored:
     """The shapes of most evidence near ``start``'s, whose ridge may run askew to each of them."""
+    from scipy.optimize import minimize  # half a second, for what few recordings need
+
     c, best = start.candidate, start
 
     def lost(values: Array) -> float:
