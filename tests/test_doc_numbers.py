@@ -122,8 +122,8 @@ FINENESS = (
     ("rows/rows", "DEPENDENT", "rounding"),
     ("rows/sampling", "FOLLOW", "how a clock is tracked"),
     ("search/refine", "FINEST_LAG", "where a search ends"),
-    ("search/settle", "PARTS", "how finely the slope of a torque over the position is looked at"),
-    ("search/settle", "SEARCHES ALONG CLIMB FALLS", "how often, from how many values, how long and whether at all is sought"),
+    ("search/settled", "PARTS", "how finely the slope of a torque over the position is looked at"),
+    ("search/levers", "SEARCHES ALONG CLIMB FALLS", "how often, from how many values, how long and whether at all is sought"),
     ("search/wanted", "LAGS", "start values of a search"),
     ("standing", "USUAL_TORQUE", "stands in for a number that nobody stated"),
 )

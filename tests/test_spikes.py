@@ -12,6 +12,7 @@ import pytest
 
 from conftest import SHARED
 from stopset.cli.main import main
+from stopset.offline.campaign.survey import survey
 from stopset.offline.description import robot_from_text
 from stopset.offline.inspect import inspect_recordings
 from stopset.recording import Recording, Recordings, read_recordings, stream_recordings, write_recordings
@@ -112,6 +113,13 @@ def test_torque_that_often_stands_out_is_how_it_is(whole: Recordings) -> None:
 
 def test_nothing_is_left_out_of_a_healthy_arm(whole: Recordings) -> None:
     assert all(without_spikes(r) is r for r in whole)
+
+
+def test_what_was_left_out_is_counted_by_the_survey(tmp_path: Path, whole: Recordings) -> None:
+    """Identification and comparison read all files once more, only to tell it."""
+    read = read_recordings(written(tmp_path / "r.parquet", spiked(whole, lambda r: off(r, swift(r, 1), 1, -170.0))))
+    found = survey(lambda: iter(read.trials)).spikes
+    assert len(found) == 1 and found == tuple((r.label, x) for r in read for x in r.spikes)
 
 
 def test_every_command_says_what_it_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

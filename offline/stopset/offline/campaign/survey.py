@@ -14,6 +14,7 @@ from stopset.offline.campaign.reading_error import ReadingError
 from stopset.offline.campaign.session import POWERED, Session
 from stopset.offline.campaign.trials import Source
 from stopset.recording import Recording, SuiteKey
+from stopset.recording.types import Spike
 from stopset.sets import Box
 from stopset.types import Array
 
@@ -46,6 +47,7 @@ class Survey:
     learnt: frozenset[SuiteKey] = frozenset()  # suites that a nominal model that is given was fitted to
     low_pass: float = 0.0  # [Hz] of the filter that the recorded torque went through; 0: none was found, or looked for
     means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
+    spikes: tuple[tuple[str, Spike], ...] = ()  # trial and torque, for which the reader left a sample out; of all phases
 
     @property
     def learnt_motions(self) -> frozenset[int]:
@@ -114,6 +116,9 @@ class Tally:
     longest: float = 0.0
     irregular: bool = False
     conditions: set[str] = field(default_factory=set)
+    spikes: list[tuple[str, Spike]] = field(
+        default_factory=list
+    )  # see `Survey`; of what this one was fed, no kept state has them
     retained: list[Recording] = field(default_factory=list)
     stride: int = 1
 
@@ -121,6 +126,7 @@ class Tally:
         """Take one trial in."""
         self.places = max(self.places, r.place + 1)
         self.conditions.add(r.condition)
+        self.spikes += [(r.label, x) for x in r.spikes]
         if r.phase != self.phase or len(r.t) < 3:
             self.noise.add(r)
             return
@@ -161,6 +167,7 @@ class Tally:
             readings=self.noise.error(held), late=self.noise.late(held), q=self.hulls["q"], dq=self.hulls["dq"], tau=self.hulls["tau"],
             temp=self.hulls.get("temp"), sample=tuple(self.retained), irregular=self.irregular,
             session=session or Session(max(self.repeats.values()), self.places), learnt=learnt, means=np.array(self.means) if self.means else None,
+            spikes=tuple(self.spikes),
         )  # fmt: skip
 
 

@@ -107,7 +107,7 @@ def diagnose_model(
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
     check_readings(model.robot, recordings.meta, recordings)
-    without = left_out(model.robot, recordings)
+    without = left_out(model.robot, [(r.label, x) for r in recordings for x in r.spikes])
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 

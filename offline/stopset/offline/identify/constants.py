@@ -40,7 +40,7 @@ from stopset.offline.diagnose.evidence import baseline, candidate, engine, evide
 from stopset.offline.diagnose.explain import uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
-from stopset.offline.diagnose.search import refine, ripple, settle, wanted
+from stopset.offline.diagnose.search import levers, refine, ripple, settled, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
@@ -175,7 +175,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis evidence", evidence, "RIDGES REPEATED"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
-    ("diagnosis settlement", settle, "PARTS SEARCHES ALONG CLIMB FALLS"),
+    ("diagnosis settlement", settled, "PARTS"),
+    ("diagnosis settlement", levers, "SEARCHES ALONG CLIMB FALLS"),
     ("diagnosis wanted", wanted, "LAGS"),
     ("diagnosis play", plays, "PART FEWEST SOFT CROSSING STILL"),
     ("diagnosis open loop", compensated, "STEP SCREENING FINALISTS"),

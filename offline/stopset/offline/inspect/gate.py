@@ -33,6 +33,7 @@ from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.scale import torque_scales
 from stopset.recording import Meta, Recording
+from stopset.recording.types import Spike
 from stopset.robot import Robot
 
 SURE_SCALE = 0.1  # relative error of a torque's scale that tells something
@@ -71,9 +72,9 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     return _in_words(found)
 
 
-def left_out(robot: Robot, trials: Iterable[Recording]) -> tuple[str, ...]:
-    """What of the trials was left out because its torque is none, in the words of `stopset inspect`."""
-    return _in_words(spikes([(r.label, x) for r in trials for x in r.spikes], robot.joints))
+def left_out(robot: Robot, seen: Sequence[tuple[str, Spike]]) -> tuple[str, ...]:
+    """What of trials was left out because its torque is none, in the words of `stopset inspect`; ``seen``: as a survey counts it."""
+    return _in_words(spikes(seen, robot.joints))
 
 
 def unsound(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[Finding]:

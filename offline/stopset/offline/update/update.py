@@ -165,7 +165,7 @@ def _folded(
         note += "; " + staleness.note(model, retained.sums.figures, later.figures, difference)
     if len(stops) > len(retained.stops):
         note += f"; {len(stops) - len(retained.stops)} stops added to {len(retained.stops)}"
-    note += "".join(f"; {text}" for text in left_out(robot, source()))
+    note += "".join(f"; {text}" for text in left_out(robot, found.spikes[len(retained.tally.spikes) :]))
     fresh = stopped(replace(fresh, retained=replace(fresh.retained, fitted_files=retained.fitted_files)), stops, progress)
     return replace(fresh, model=_revised(model, fresh.model, f"recordings {names}", note))
 

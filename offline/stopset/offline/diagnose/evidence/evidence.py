@@ -60,7 +60,7 @@ class JointGram:
         """Sums of ``X``; ``trial`` (K,) of each row, trials together, -1 for poses at the end (they count to fold 0)."""
         moving = trial >= 0
         starts = np.flatnonzero(np.diff(trial[moving], prepend=-2) != 0)
-        ends = np.append(starts[1:], moving.sum()).astype(np.intp)
+        ends = np.append(starts, moving.sum())[1:].astype(np.intp)  # none of a joint that stands
         used = trial[moving][starts]
         r = f.shape[1]
         empty = JointGram(
@@ -91,7 +91,7 @@ class JointGram:
         G = np.zeros((len(self.G), c + k, c + k))
         G[:, :c, :c] = self.G
         runs = np.flatnonzero(np.diff(self.row_fold, prepend=-1) != 0)  # rows of one fold beside each other
-        for start, end in zip(runs, np.append(runs[1:], len(w)), strict=True):
+        for start, end in zip(runs, np.append(runs, len(w))[1:], strict=True):
             for part, first, last in self._places():
                 G[self.row_fold[start], first:last, c:] += part[start:end].T @ w[start:end]
             G[self.row_fold[start], c:, c:] += w[start:end].T @ w[start:end]

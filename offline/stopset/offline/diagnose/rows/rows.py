@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -31,7 +32,9 @@ class JointRows:
 
     def column(self, moving: Array, still: Array | None = None) -> Array:
         """Whitened columns (K + P, k) from row values (N, k) of the whole of `Prepared` and pose values (P, k)."""
-        x = np.ascontiguousarray(moving[self.take].reshape(len(self.take), -1))
+        x = np.ascontiguousarray(
+            moving[self.take].reshape(len(self.take), prod(moving.shape[1:]))
+        )  # of a joint that stands: none
         w = self.whiten(x)
         if not self.still:
             return w

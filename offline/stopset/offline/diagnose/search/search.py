@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stopset.effects import catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Scored
+from stopset.offline.diagnose.evidence.candidate import Key, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
@@ -18,7 +18,8 @@ from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
-from stopset.offline.diagnose.search.settle import added, instead, other_gears, refines, said_already, settle
+from stopset.offline.diagnose.search.settle import instead, other_gears, said_already, settle
+from stopset.offline.diagnose.search.settled import added, refines
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.progress import Progress, silent
 from stopset.types import Array
@@ -67,7 +68,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     claims: list[Claim] = []
     left: list[Scored] = []
     first = before = held_out(now, hyper)
-    refused = set[tuple[str, tuple[int, ...]]]()
+    refused = set[Key]()
     for _ in range(limit.MAX_CLAIMS):
         found = engine.add_all(ripples.strongest(now, p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
@@ -88,7 +89,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
             best = [s for s in best if _stands(loose, s, loose_hyper)]
         if not best:
             break
-        earlier, (top, rivals) = now, settle(now, best, hyper)
+        earlier, (top, rivals) = now, settle(now, best, hyper, refused)
         plainer = next((c for c in claimed if c.key not in beyond and refines(top.candidate, c)), None)
         if plainer is not None:
             top, rivals = instead(now, plainer, top, hyper), ()
@@ -117,7 +118,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     claims = _as_fitted(now, claims, p.theta)
     now, retained = _needed(now, claims, hyper)
     for k, claim in enumerate(retained):
-        now, retained[k] = _settled_again(now, claim, hyper)
+        now, retained[k] = _settled_again(now, claim, hyper, refused)
     hyper, p = now.fit(hyper)
     return Found(tuple(_as_fitted(now, retained, p.theta)), tuple(left), now, hyper, now.excesses(p.theta, hyper), first)
 
@@ -153,14 +154,14 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
     return again is not None and again.score - c.charge >= limit.THRESHOLD
 
 
-def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper) -> tuple[Hypothesis, Claim]:
+def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper, refused: Set[Key]) -> tuple[Hypothesis, Claim]:
     """A narrow decision between contenders taken again, now that all the other causes are known: those that no later claim says."""
     if claim.scored.candidate.effect.role == "swing":
         return now, claim
     key = claim.scored.candidate.key
     others = now.without(key)
     open_ones = [s for s in claim.rivals if not said_already(others.active, s.candidate)]
-    top, rivals = settle(others, [claim.scored, *open_ones], hyper)
+    top, rivals = settle(others, [claim.scored, *open_ones], hyper, refused)
     if top.candidate.key == key:
         return now, claim
     return now.instead(top.candidate, key), replace(claim, scored=top.scored, score=top.scored.score, rivals=rivals)

@@ -19,16 +19,10 @@ Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
 def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
     """All effects of the catalogue at all joints these data can speak of, with the start values of their shapes."""
-    n, d = engine.data.n, engine.data
+    n = engine.data.n
     out: list[Wanted] = []
     for effect in catalogue().values():
-        if effect.base or (names is not None and effect.name not in names) or effect.periodic:
-            continue
-        if effect.role == "play":
-            continue  # its torque shows nothing: see `plays`
-        if effect.effort == "compensated_torque" and not engine.source.compensated:
-            continue  # the whole rigid body is in the base model
-        if ("temp" in effect.needs and d.temp is None) or (effect.instead_of == "temp" and d.temp is not None):
+        if (names is not None and effect.name not in names) or effect.periodic or not askable(engine, effect):
             continue
         places: list[tuple[int, ...]] = [(j,) for j in range(n) if engine.rows[j].size > limit.FEWEST_ROWS]
         if effect.scope == "arm":
@@ -49,6 +43,16 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
                 if effect.role != "swing" or _swings(engine, place[0], shapes["K"]):
                     out.append((effect, place, shapes))
     return out
+
+
+def askable(engine: Engine, effect: Effect) -> bool:
+    """Whether these recordings can speak of an effect beside the base model."""
+    if effect.base or effect.role == "play":
+        return False  # of a play the torque shows nothing: see `plays`
+    if effect.effort == "compensated_torque" and not engine.source.compensated:
+        return False  # the whole rigid body is in the base model
+    measured = engine.data.temp is not None
+    return not (("temp" in effect.needs and not measured) or (effect.instead_of == "temp" and measured))
 
 
 def exact(engine: Engine, hyper: Hyper, names: Sequence[str] | None) -> list[Wanted]:
