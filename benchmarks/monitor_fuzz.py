@@ -294,6 +294,7 @@ class Slots:
     """The latch's journal on a disk that has done something to it."""
 
     settled = True
+    interrupted = notice = ""
 
     def __init__(self, data: bytes, counts: bytes = b"") -> None:
         self.data, self.counts = bytearray(data), counts

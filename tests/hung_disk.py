@@ -1,4 +1,7 @@
-"""C that makes a disk hang, as far as a process knows it: what it does with files of a folder takes until another file is gone."""
+"""C that makes a disk hang, as far as a process knows it: what it does with files of a folder takes until another file is gone.
+
+And a machine whose memory takes no files: whatever is opened below `/dev/shm` is refused, where that is asked for.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,9 @@ from monitor_process import compiled
 SOURCE = r"""
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 #include <stdio.h>
@@ -32,6 +38,14 @@ ssize_t pwrite64(int fd, const void *data, size_t n, off64_t at) { wait_for_disk
 ssize_t write(int fd, const void *data, size_t n) { wait_for_disk(fd); return NEXT(write, fd, data, n); }
 int fsync(int fd) { wait_for_disk(fd); return NEXT(fsync, fd); }
 int fdatasync(int fd) { wait_for_disk(fd); return NEXT(fdatasync, fd); }
+static int refused(const char *path) {
+  if (!getenv("NO_MEMORY_FILES") || strncmp(path, "/dev/shm/", 9)) return 0;
+  errno = EROFS;
+  return 1;
+}
+#define MODE_OF(flags) va_list more; va_start(more, flags); mode_t mode = flags & O_CREAT ? va_arg(more, mode_t) : 0; va_end(more)
+int open(const char *path, int flags, ...) { MODE_OF(flags); return refused(path) ? -1 : NEXT(open, path, flags, mode); }
+int open64(const char *path, int flags, ...) { MODE_OF(flags); return refused(path) ? -1 : NEXT(open64, path, flags, mode); }
 """
 
 

@@ -294,7 +294,7 @@ class World:
         """Nobody looks."""
 
     settled = True
-    astray = ""
+    astray = interrupted = notice = ""
 
     def read(self) -> bytes:
         return bytes(self.disk)

@@ -280,7 +280,7 @@ class Disk:
     """Two slots in memory; ``data`` may be spoilt."""
 
     settled = True
-    astray = ""
+    astray = interrupted = notice = ""
 
     def __init__(self, record: Any) -> None:
         self.data, self.counts, self.full = bytearray(blank(record)), b"", False

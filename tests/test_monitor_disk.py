@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
+import re
 import shutil
 import time
 from pathlib import Path
@@ -14,6 +17,7 @@ from monitor_arm import known_model, meta, motion, with_torque_scaled
 from monitor_process import Ear, free_port, running, write_config
 from patience import Granted, rest
 from stopset.artifact import save_model
+from stopset.monitor import journal_file
 from stopset.monitor.layout import Flag, State, unpack
 from stopset.recording import write_recordings
 
@@ -49,11 +53,13 @@ class Cell:
             replay.wait(timeout=600)
 
 
-@pytest.mark.parametrize("killed", ["while it hangs", "when it answers again"])
+@pytest.mark.parametrize("killed", ["while it hangs", "when it answers again", "when it answers again, without files in memory"])
 def test_a_disk_that_hangs_silences_no_monitor_and_hides_no_violation(tmp_path: Path, killed: str) -> None:
     """It was silent for as long as the disk; and what the disk never got was forgotten by a restart."""
     cell = Cell(tmp_path)
     disk = HungDisk(tmp_path, cell.state)
+    if "without" in killed:
+        disk.environ["NO_MEMORY_FILES"] = "1"
     with running("monitor", "--config", str(cell.config), **disk.environ) as monitor, Ear(cell.port) as ear, Granted() as granted:
         at: list[float] = []
         ear.link.subscribe("state", lambda _, d: at.append(time.monotonic()))
@@ -64,7 +70,11 @@ def test_a_disk_that_hangs_silences_no_monitor_and_hides_no_violation(tmp_path: 
         assert ear.wait(lambda: flagged_by(ear) == {True}), "it is told though it is on no disk"
         assert ear.wait(lambda: any(e["kind"] == "journal" and "does not answer" in e["why"] for e in list(ear.events)))
         rest(1.0)
-        gaps = [granted.between(a, b) for a, b in itertools.pairwise(list(at))]
+        if "without" in killed:
+            assert any("no room in the system's memory" in e["why"] for e in list(ear.events) if e["kind"] == "journal"), (
+                "it is said"
+            )
+        gaps = [granted.between(a, b) for a, b in itertools.pairwise([*at, time.monotonic()])]
         assert max(gaps) < LONGEST
         if killed == "while it hangs":
             monitor.kill()
@@ -119,3 +129,55 @@ def test_a_lost_folder_of_the_journal_is_no_first_start(tmp_path: Path, known: s
         ear.link.put("reset", b'{"name": "A. Person", "reason": "the disk was changed"}')
         assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
     assert cell.latched() == ("", {False})
+
+
+def powered_off(cell: Cell) -> None:
+    """As after a loss of power: what was in the machine's memory is not there."""
+    name = re.search("^name ([0-9a-f]{32})$", (cell.state / ".arm.latch.begun").read_text(), re.MULTILINE)
+    assert name is not None
+    digest = hashlib.sha256(f"{name[1]} {(cell.state / 'arm.latch').resolve()}".encode()).hexdigest()
+    (journal_file.MEMORY / f"stopset-{digest[:32]}").unlink()
+
+
+@pytest.mark.parametrize("must", [True, False])
+def test_power_lost_while_the_disk_hangs_is_not_forgotten(tmp_path: Path, must: bool) -> None:
+    """A violation had been told, and the start after it said OK of that arm as if nothing had been. Whoever asks for it (`must_remember`) gets it
+    latched, others are told."""
+    cell = Cell(tmp_path, "must_remember = true\n" if must else "")
+    disk = HungDisk(tmp_path, cell.state)
+    with running("monitor", "--config", str(cell.config), **disk.environ) as monitor, Ear(cell.port) as ear:
+        if must:
+            assert ear.wait(lambda: ear.twins)
+            ear.link.put("reset", b'{"name": "A. Person", "reason": "the first start"}')
+            assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+            rest(1.0)
+        disk.hang()
+        cell.violate(ear)
+        assert ear.wait(lambda: flagged_by(ear) == {True})
+        monitor.kill()
+        monitor.wait(timeout=600)
+    disk.answer()
+    powered_off(cell)
+    with running("monitor", "--config", str(cell.config)) as monitor, Ear(cell.port) as ear:
+        assert ear.wait(lambda: len(ear.twins) > 1 and len(ear.raw) > 5)
+        assert ear.twins[-1]["violation_latched"] == must
+        if must:
+            assert "lost its power" in ear.twins[-1]["violation_why"]
+            ear.link.put("reset", b'{"name": "A. Person", "reason": "looked at the arm"}')
+            assert ear.wait(lambda: not ear.twins[-1]["violation_latched"])
+        else:
+            assert "lost its power" in first_word(ear)
+        monitor.terminate()
+        monitor.wait(timeout=600)
+    assert cell.latched() == ("", {False}), "a life that ended in order is none that was cut off"
+
+
+def first_word(ear: Ear) -> str:
+    """Of the journal, from the events that a monitor keeps for those who come later."""
+
+    def said() -> list[str]:
+        kept = [e for _, answer in ear.link.get("event") for e in json.loads(answer)]
+        return [e["why"] for e in kept if e["kind"] == "journal"]
+
+    assert ear.wait(said)
+    return said()[0]

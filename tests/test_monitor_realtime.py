@@ -12,7 +12,7 @@ import pytest
 
 from monitor_arm import motion
 from stopset.artifact import save_model
-from stopset.monitor.realtime import GOT, claim
+from stopset.monitor.realtime import GOT, SHARE, claim
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
@@ -28,6 +28,30 @@ c = claim(lock=True, priority=7, cores=({core},))
 found = []
 thread = threading.Thread(target=lambda: found.append(os.sched_getscheduler(0))); thread.start(); thread.join()
 print(c.said, [os.sched_getscheduler(0) & 0xFF, *found], os.sched_getaffinity(0), sep="|")
+"""
+
+
+CROWDED = """
+import os, subprocess, sys, threading, time
+from stopset.monitor.realtime import Waits
+core = min(os.sched_getaffinity(0))
+os.sched_setaffinity(0, {core})
+def works():
+    while True:
+        os.getpid()
+def loop():
+    waits.since()
+    time.sleep(2.0)
+    said.append(waits.since())
+waits, said = Waits(), []
+others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+threading.Thread(target=works, daemon=True).start()
+thread = threading.Thread(target=loop)
+thread.start()
+thread.join()
+for other in others:
+    other.kill()
+print(said[0])
 """
 
 
@@ -54,6 +78,16 @@ def test_a_refusal_is_said() -> None:
     assert policies[1] == os.SCHED_OTHER and said["cores 4095"].startswith("refused (Invalid argument)")
     if not os.getuid():
         assert policies[0] == os.SCHED_OTHER and "deploy/systemd" in said["FIFO priority 7"] and said["memory lock"] != GOT
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="the kernel does not count")
+def test_it_is_said_who_waits_for_a_processor() -> None:
+    """A loop that is first in line was late by what its own threads waited behind others on their core, and nothing told that from a slow loop."""
+    out = subprocess.run([sys.executable, "-c", CROWDED], capture_output=True, text=True, check=True, timeout=600).stdout
+    said = eval(out)
+    assert said["threads_waited_ms"] > 500.0 > said["loop_waited_ms"] >= 0.0
+    runtime = int((SHARE / "sched_rt_runtime_us").read_text())
+    assert said["fifo_share"] == (1.0 if runtime < 0 else runtime / int((SHARE / "sched_rt_period_us").read_text()))
 
 
 def test_nothing_is_asked_for_unless_told() -> None:

@@ -182,9 +182,9 @@ class Config:
 
     ``data_id``: this arm's, told to its consumers; ``keys``: key file of the authentication code, "" = no code; ``journal``:
     where a violation is remembered, "" = beside the configuration, or in systemd's state directory; ``must_remember``: a start without
-    one is no first start but a loss, and latched; ``begun``: a file beside the configuration that tells one from the other, where it can be
-    written. ``payload_kg``: surely on the
-    flange, beyond the model's own; (0, 0) = surely nothing, None = not declared.
+    one is no first start but a loss, and latched, as is one after a life that the machine's power took; ``begun``: a file beside the
+    configuration that tells one from the other, where it can be written. ``payload_kg``: surely on the flange, beyond the model's own;
+    (0, 0) = surely nothing, None = not declared.
     """
 
     model: str

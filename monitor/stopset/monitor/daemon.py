@@ -31,7 +31,7 @@ from stopset.monitor.orders import Orders
 from stopset.monitor.pace import Pace
 from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import Outlet, Publisher
-from stopset.monitor.realtime import Granted
+from stopset.monitor.realtime import Granted, Waits
 from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.report import RunCounts, Turn, health, twin
@@ -75,7 +75,7 @@ class Daemon:
         self, config: Config, model: Model, source: SampleSource, outlet: Outlet, cycle_s: float, beside: Beside = Beside()
     ) -> None:
         self.config, self.source, self.cycle_s, self.recorder = config, source, cycle_s, beside.recorder
-        self.granted = beside.granted
+        self.granted, self.waits = beside.granted, Waits()
         self.clock: Clock = beside.clock or SystemClock()
         self.reloading = Reloading(beside.load, self._prepare)
         self._use(self._prepare(model, beside.desk, beside.begun))

@@ -32,13 +32,18 @@ class Store(Protocol):
     """Where the two slots lie, and the counts; may raise `OSError`.
 
     ``flush`` starts making what was written last, and need not wait: ``settled`` once the disk has all of it. ``astray``: why a restart
-    would not find it, or the disk has not got it, empty if neither is so.
+    would not find it, or the disk has not got it, empty if neither is so. ``interrupted``: why what was seen last may be missing, for a
+    journal that must miss nothing; ``notice``: what else is to be said at the start. Both empty as a rule.
     """
 
     @property
     def settled(self) -> bool: ...
     @property
     def astray(self) -> str: ...
+    @property
+    def interrupted(self) -> str: ...
+    @property
+    def notice(self) -> str: ...
     def read(self) -> bytes: ...
     def write(self, offset: int, data: bytes) -> None: ...
     def flush(self) -> None: ...
@@ -96,7 +101,7 @@ class Journal:
     """The record, read once with `read`, replaced with `write`. ``trouble``: words of the last failure, empty if none."""
 
     def __init__(self, store: Store) -> None:
-        self.trouble = ""
+        self.trouble, self.notice = "", store.notice
         self._store, self._number, self._slot = store, 1, 1
 
     def read(self) -> Any:
@@ -116,6 +121,8 @@ class Journal:
             raise Unreadable("the journal of the latch is damaged, or its last write was torn", record)
         if self._in_memory()[0] > self._number:
             raise Unreadable("the disk never got what was written to the journal of the latch last", record)
+        if self._store.interrupted:
+            raise Unreadable(self._store.interrupted, record)
         return record
 
     def write(self, record: Any, counts: Sequence[int] = ()) -> None:

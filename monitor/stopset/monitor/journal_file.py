@@ -2,7 +2,8 @@
 
 A disk may hang, for a minute or for ever, and the loop must not hang with it. A thread writes; the loop waits a moment for it, so that
 what is said next is on its way to the disk, and goes on without it where the disk does not answer. Memory is told first (the number of the
-record and the counts), so a process that ends meanwhile has left word that the disk lacks something.
+record and the counts), so a process that ends meanwhile has left word that the disk lacks something. A machine that loses its power leaves
+no such word; but a life that ends in order, with all it has seen on the disk, says so there, and one that said nothing may have seen more.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ LOOKED_AT = 1.0  # [s] between two looks whether the file is still where it was
 PATIENCE = 0.005  # [s] the loop waits at most until the system has taken a write; while one is under way for longer, not at all
 HUNG = 1.0  # [s] without an answer of the disk, then it is said
 MEMORY = Path("/dev/shm")
+RUNS, ENDED = b"runs \n", b"ended\n"  # as long as each other: the file needs no more room when it changes
 _WORDS = (
     "A journal of stopset's monitor was begun beside this file. Where it is gone the monitor takes a violation for latched.\n"
 )
@@ -36,7 +38,7 @@ class FileStore:
     """Two slots in a file, made at a first start, locked against a second daemon. Raises `OutputError`.
 
     ``mark``: another file, elsewhere, that remembers that the journal was begun; left out where it cannot be written. ``lost``: there was
-    no first start to come: a journal that is not there is lost.
+    no first start to come: a journal that is not there is lost, and one that was in use when the machine's memory went is `interrupted`.
     """
 
     def __init__(self, path: Path, first: Any, mark: Path | None = None, *, lost: bool = False) -> None:
@@ -60,12 +62,15 @@ class FileStore:
                 f"another monitor holds the journal {path}; expected one monitor per arm: stop the other, or give this arm "
                 "a journal of its own"
             ) from e
-        self._path = path
-        self._in_memory, self._counts = _counts(path, name)
+        self._path, self._running, self._must = path, path.with_name(f".{path.name}.running"), lost
+        self._in_memory, self._counts, found = _counts(path, name)
+        self._before = "" if found else _interrupted(self._running, in_memory=self._in_memory is not None)
+        self._runs = self._begin()
         self._turn = threading.Condition()  # what follows is shared with the thread
         self._waiting: dict[int, bytes] = {}  # by offset, of two for one place the newer
         self._given = self._taken = self._synced = 0
         self._late, self._closing = False, False
+        self._count: bytes | None = None  # for a file on the disk
         self._refused = self._gone = ""
         self._since: float | None = None  # when the thread asked the disk for what it has no answer to yet
         self._thread = threading.Thread(target=self._work, daemon=True, name="journal")
@@ -105,12 +110,33 @@ class FileStore:
             )
         return self._gone or self._refused
 
+    @property
+    def interrupted(self) -> str:
+        return self._before if self._must else ""
+
+    @property
+    def notice(self) -> str:
+        said = [] if self._must or not self._before else [self._before]
+        if self._in_memory is None:
+            said.append(
+                f"there is no room in the system's memory ({MEMORY}) for what the latch counts: it lies beside the journal, and a kill "
+                "while the disk does not answer would forget what was seen meanwhile"
+            )
+        return "; ".join(said)
+
     def read_counts(self) -> bytes:
         return os.pread(self._counts, 4096, 0)
 
     def write_counts(self, data: bytes) -> None:
-        # within a page: a kill comes before it or after it. Not into mapped memory: where there is no room that ends who writes there
-        os.pwrite(self._counts, data, 0)
+        if self._in_memory is not None:
+            # within a page: a kill comes before it or after it. Not into mapped memory: where there is no room that ends who writes there
+            os.pwrite(self._counts, data, 0)
+            return
+        with self._turn:  # a disk like any other
+            self._count = data
+            self._turn.notify_all()
+            if not self._late:
+                self._late = not self._turn.wait_for(lambda: self._count is None, PATIENCE)
 
     def close(self) -> None:
         """What waits is written if the disk answers; a thread that it holds goes with the process."""
@@ -122,23 +148,57 @@ class FileStore:
             return
         if self._in_memory is not None and self.settled and not many_counted(self.read_counts()):
             self._in_memory.unlink(missing_ok=True)  # the disk has all of it
-        os.close(self._fd)
-        os.close(self._counts)
+        for fd in (self._fd, self._counts, self._runs):
+            if fd >= 0:
+                os.close(fd)
+
+    def _begin(self) -> int:
+        """Whoever starts next without hearing `ENDED` finds that this life runs; -1 where that cannot be written. Raises `OutputError`."""
+        try:
+            if not self._running.exists():
+                _make(self._running, RUNS)
+            fd = os.open(self._running, os.O_RDWR | os.O_CLOEXEC)
+            _mark(fd, RUNS)
+        except OSError as e:
+            if self._must:
+                os.close(self._fd)
+                os.close(self._counts)
+                raise OutputError(
+                    f"{self._running} cannot be written ({e.strerror}); expected room for it, as `must_remember` asks: look at the disk"
+                ) from e
+            return -1
+        return fd
 
     # ---- the thread's
 
     def _work(self) -> None:
         while True:
             with self._turn:
-                self._turn.wait_for(lambda: self._waiting or self._closing, LOOKED_AT)
-                if self._closing and not self._waiting:
-                    return
-                pieces, self._waiting, given = self._waiting, {}, self._given
+                self._turn.wait_for(lambda: self._waiting or self._count or self._closing, LOOKED_AT)
+                if self._closing and not self._waiting and not self._count:
+                    break
+                pieces, self._waiting, given, count = self._waiting, {}, self._given, self._count
             self._since = time.monotonic()
+            if count is not None:  # before the record: what the disk never gets of that is missed at the next start
+                self._write_count(count)
             if pieces:
                 self._write(pieces, given)
             self._gone = self._looked_for()
             self._since = None
+        if self.settled and self._runs >= 0:
+            with contextlib.suppress(OSError):  # then the next start takes it for one that did not end
+                _mark(self._runs, ENDED)
+
+    def _write_count(self, data: bytes) -> None:
+        try:
+            os.pwrite(self._counts, data, 0)
+        except OSError as e:
+            self._refused = e.strerror or str(e)
+        with self._turn:
+            if self._count is data:
+                self._count = None
+            self._late = False
+            self._turn.notify_all()
 
     def _write(self, pieces: dict[int, bytes], given: int) -> None:
         try:
@@ -186,29 +246,59 @@ def _begun(path: Path, first: Any, mark: Path | None, *, lost: bool) -> str:
     return name[1] if name else _begun(path, first, None, lost=False)
 
 
-def _counts(path: Path, name: str) -> tuple[Path | None, int]:
-    """The counts' file, open, and where it is if it is in the system's memory; where there is no such place it is beside the journal."""
+def _interrupted(running: Path, *, in_memory: bool) -> str:
+    """In words, that a life before did not end in order, and what it may have known is gone with the machine's memory; else empty."""
+    try:
+        if running.read_bytes() != RUNS:
+            return ""
+    except OSError:  # a first start, or one behind a version that left no such word
+        return ""
+    how = "the machine lost its power, or its memory," if in_memory else "the monitor did not end in order"
+    return f"{how} while the monitor ran: what it saw last may never have reached the disk"
+
+
+def _counts(path: Path, name: str) -> tuple[Path | None, int, bool]:
+    """The counts' file, open; where it is if it is in the system's memory, else it is beside the journal; and whether it was there already."""
     # a copy of the folder is another arm's
     place = MEMORY / f"stopset-{hashlib.sha256(f'{name} {path.resolve()}'.encode()).hexdigest()[:32]}"
+    beside = path.with_name(f".{path.name}.counts")
     fd = -1
     with contextlib.suppress(OSError):
         fd = os.open(place, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
         found = os.fstat(fd)
-        ours = stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o077
-        # with room for all that is written later
-        if ours and (found.st_size >= COUNTED or os.pwrite(fd, bytes(COUNTED), 0) == COUNTED):
-            return place, fd
+        if stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o077:
+            if found.st_size >= COUNTED:
+                return place, fd, True
+            if _room(fd, beside):  # for all that is written later
+                beside.unlink(missing_ok=True)
+                return place, fd, False
+            place.unlink()
     if fd >= 0:
         os.close(fd)
-    beside = path.with_name(f".{path.name}.counts")
     try:
         if not beside.exists():
             _make(beside, bytes(COUNTED))
-        return None, os.open(beside, os.O_RDWR | os.O_CLOEXEC)
+        return None, os.open(beside, os.O_RDWR | os.O_CLOEXEC), False
     except OSError as e:
         raise OutputError(
             f"the counts of the latch {beside} cannot be written ({e.strerror}); expected room there: look at the disk"
         ) from e
+
+
+def _room(fd: int, beside: Path) -> bool:
+    """Make it, with what a life without any counted beside the journal."""
+    counted = beside.read_bytes()[:COUNTED] if beside.exists() else b""
+    try:
+        return os.pwrite(fd, counted.ljust(COUNTED, b"\0"), 0) == COUNTED
+    except OSError:
+        return False
+
+
+def _mark(fd: int, word: bytes) -> None:
+    """In place, and on the disk afterwards."""
+    if os.pwrite(fd, word, 0) != len(word):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+    os.fdatasync(fd)
 
 
 def _make(path: Path, data: bytes) -> None:

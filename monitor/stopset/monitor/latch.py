@@ -78,8 +78,8 @@ class Latch:
             return
         r.count = total
         r.why = r.why or "violations were counted that the journal of the latch does not hold"
-        if len(counts) == 1 + len(r.entries):
-            for entry, samples in zip(r.entries, counts[1:], strict=True):
+        if len(counts) > len(r.entries):  # those that came last may be on no disk
+            for entry, samples in zip(r.entries, counts[1:], strict=False):
                 entry.samples = samples
 
     def take(self, sample: Sample, verdict: Verdict, now: float = 0.0) -> list[LatchEntry]:
@@ -156,7 +156,10 @@ class Latch:
         if now - self._saved_at >= SAVE_EVERY and (self.record.count != self._saved or self._journal.trouble):
             self.save(now)
         self._journal.look()
-        return self._journal.trouble
+        if self._journal.trouble:
+            return self._journal.trouble
+        notice, self._journal.notice = self._journal.notice, ""  # once
+        return notice
 
     @property
     def latched(self) -> bool:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
+TASKS = Path("/proc/self/task")
+SHARE = Path("/proc/sys/kernel")  # `sched_rt_runtime_us` of every `sched_rt_period_us`, -1: all
 ALL_PAGES = 3  # MCL_CURRENT | MCL_FUTURE
 GOT = "set"
 
@@ -57,3 +61,45 @@ def _tried(ask: Callable[[], None]) -> str:
     except (OSError, AttributeError) as e:  # not allowed, or not on this system
         return f"refused ({e.strerror if isinstance(e, OSError) else e}); see deploy/systemd/stopset.service"
     return GOT
+
+
+def first_in_line_share() -> float | None:
+    """Which part of a core the system leaves to all that is scheduled FIFO together; None where it does not say."""
+    try:
+        runtime, period = (int((SHARE / f"sched_rt_{x}_us").read_text()) for x in ("runtime", "period"))
+    except (OSError, ValueError):
+        return None
+    return 1.0 if runtime < 0 else runtime / period
+
+
+@dataclass(slots=True)
+class Waits:
+    """How long the loop, and this process's other threads, were ready to run and had no processor.
+
+    The loop may be first in line and late all the same: it waits for Python while another thread has that, and its messages leave by one of
+    zenoh's; these have no priority, and whatever else works on their cores comes between.
+    """
+
+    _before: dict[str, int] = field(default_factory=dict)  # [ns] by thread
+
+    def since(self) -> dict[str, float | None]:
+        """In words of `health`, since it was asked last; of the thread that asks, and of all others together."""
+        mine, now = str(threading.get_native_id()), {}
+        try:
+            for thread in os.listdir(TASKS):  # noqa: PTH208 - Path's objects are for nothing here
+                now[thread] = _waited(thread)
+        except OSError:  # not on this system
+            return {"loop_waited_ms": None, "threads_waited_ms": None, "fifo_share": None}
+        grown = {thread: ns - self._before.get(thread, 0) for thread, ns in now.items()}
+        self._before = now
+        return {
+            "loop_waited_ms": grown.get(mine, 0) * 1e-6, "fifo_share": first_in_line_share(),
+            "threads_waited_ms": sum(ns for thread, ns in grown.items() if thread != mine) * 1e-6,
+        }  # fmt: skip
+
+
+def _waited(thread: str) -> int:
+    try:
+        return int((TASKS / thread / "schedstat").read_text().split()[1])
+    except (OSError, IndexError, ValueError):  # it has ended, or the kernel does not count
+        return 0

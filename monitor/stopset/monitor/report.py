@@ -23,7 +23,7 @@ from stopset.monitor.layout import Flag, State
 from stopset.monitor.orders import Orders
 from stopset.monitor.payload import assumed, published
 from stopset.monitor.publisher import Publisher
-from stopset.monitor.realtime import Granted
+from stopset.monitor.realtime import Granted, Waits
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.sample import Sample
 from stopset.monitor.source import SampleSource
@@ -74,6 +74,7 @@ class Monitored(Protocol):
     recorder: Recorder | None
     clock: Clock
     granted: Granted
+    waits: Waits
     cycle_s: float
     tally: RunCounts
     sample: Sample | None
@@ -150,7 +151,8 @@ def health(d: Monitored) -> dict[str, Any]:
         "sync_to_publish_ms": t.delays.middle_and_most(), "loop_busy_ms": t.busy.middle_and_most(),
         "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
         "stop_restarts": d.desk.restarts, "stop_cost": d.desk.spending,
-        "realtime": d.granted.said, "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
+        "realtime": d.granted.said, "processor": d.waits.since(),
+        "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
         "recorder": None if d.recorder is None else {
             "trouble": d.recorder.trouble, "dropped": d.recorder.dropped, "violations_written": d.recorder.files,
         },
