@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core_calls import point_jacobian
+from core_calls import maths, point_jacobian
 from stopset.errors import StopsetError
 from stopset.offline.description import load_robot
 from stopset.robot import Robot
@@ -87,6 +87,23 @@ def test_rows_are_what_each_row_is() -> None:
     for k in range(len(q)):
         for ours, alone in zip((R[k], o[k]), link_frames(c, q[k]), strict=True):
             assert np.array_equal(ours, alone)
+
+
+@pytest.mark.parametrize("n", range(1, 10))
+def test_joints_turned_together_have_the_bits_of_each_by_itself(n: int) -> None:
+    """Sines are taken of four joints at once; angles near zero, and those that ask for more digits of pi, by themselves."""
+    rng = np.random.default_rng(n)
+    chain = Chain(np.tile(np.eye(3), (n, 1, 1)), rng.normal(size=(n, 3)), np.tile([0.0, 0.0, 1.0], (n, 1)), np.zeros(3))
+    for _ in range(200):
+        q = rng.choice([*rng.uniform(-7.0, 7.0, n), 0.0, 1e-9, -1e-4, np.pi, -0.5 * np.pi, 9e5, 1e7], n)
+        together, whole = link_frames(chain, q)[0], np.eye(3)
+        for i in range(n):
+            one = Chain(*(x[i : i + 1] for x in chain[:3]), chain.gravity)
+            alone = link_frames(one, q[i : i + 1])[0][0]
+            assert np.array_equal(alone[1, 0], maths("sin", q[i : i + 1])[0], equal_nan=True)
+            assert np.array_equal(alone[0, 0], maths("cos", q[i : i + 1])[0], equal_nan=True)
+            whole = whole[:, :1] * alone[0] + whole[:, 1:2] * alone[1] + whole[:, 2:] * alone[2]
+            assert np.array_equal(together[i], whole, equal_nan=True)
 
 
 def test_a_points_jacobian_is_its_derivative() -> None:

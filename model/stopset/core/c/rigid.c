@@ -21,18 +21,22 @@ typedef struct {
     double E[J][9], w[J][3], dw[J][3], a[J][3];
 } Motion;
 
-/* The rotation R0 followed by one about `axis` by `angle` [rad] (Rodrigues). */
-static void turn(const double *R0, const double *axis, double angle, double *out) {
-    double s, c;
-    stopset_sincos(angle, &s, &c);
+/* The rotation R0 followed by one about `axis` by an angle of this sine and cosine (Rodrigues). */
+static void turn(const double *R0, const double *axis, double s, double c, double *out) {
     const double x = axis[0], y = axis[1], z = axis[2], d = 1.0 - c;
     const double T[9] = {c + x * x * d,     x * y * d - z * s, x * z * d + y * s, y * x * d + z * s, c + y * y * d,
                          y * z * d - x * s, z * x * d - y * s, z * y * d + x * s, c + z * z * d};
     product(R0, T, out);
 }
 
+/* Each joint's rotation at angles q: sines of four at once, which have the bits of one by one. */
 static void turn_all(const StopsetArm *arm, const double *q, double E[J][9]) {
-    for (int i = 0; i < arm->n; i++) turn(arm->R + 9 * i, arm->axis + 3 * i, q[i], E[i]);
+    double angle[4], s[4], c[4];
+    for (int i = 0; i < arm->n; i += 4) {
+        for (int k = 0; k < 4; k++) angle[k] = i + k < arm->n ? q[i + k] : 1.0; /* near zero it would be done by itself */
+        stopset_sincos_of_four(angle, s, c);
+        for (int k = 0; k < 4 && i + k < arm->n; k++) turn(arm->R + 9 * (i + k), arm->axis + 3 * (i + k), s[k], c[k], E[i + k]);
+    }
 }
 
 /* Base to tip; the rotations m->E are given. */
@@ -235,14 +239,14 @@ int stopset_link_frames(const StopsetArm *arm, int64_t N, const double *q, doubl
     KNOWN_SIZE(arm);
     const int n = arm->n;
     const double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, zero[3] = {0, 0, 0};
-    double E[9], x[3];
+    double E[J][9], x[3];
     for (int64_t k = 0; k < N; k++) {
         const double *Rp = unit, *op = zero;
+        turn_all(arm, q + k * n, E);
         for (int i = 0; i < n; i++, R += 9, o += 3) {
-            turn(arm->R + 9 * i, arm->axis + 3 * i, q[k * n + i], E);
             times(Rp, arm->p + 3 * i, x);
             for (int r = 0; r < 3; r++) o[r] = op[r] + x[r];
-            product(Rp, E, R);
+            product(Rp, E[i], R);
             Rp = R;
             op = o;
         }
