@@ -12,7 +12,7 @@ import pytest
 
 from stopset.effects import Effect, get
 from stopset.offline.description import load_robot, robot_from_text
-from stopset.offline.diagnose import Diagnosis, diagnose
+from stopset.offline.diagnose import Diagnosis, Ranked, diagnose
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns import elasticity as swing
 from stopset.offline.diagnose.evidence.candidate import Candidate, gain_within
@@ -380,6 +380,23 @@ def test_a_rotor_beyond_the_data_sheets_tolerance_is_named_and_not_called_a_dela
     stated, true = 0.43, scenario.truth["effects"][0]["params"]["true_kgm2"]
     dJ = found.ranked[0].parameters["dJ"]
     assert dJ.std is not None and abs(dJ.value - (true - stated)) < 4 * dJ.std + 0.02 * true
+
+
+def test_a_law_that_raises_the_error_is_not_said_to_lower_it_by_less_than_nothing() -> None:
+    now = Hypothesis(SimpleNamespace(modelled=False))  # type: ignore[arg-type]
+    c = Candidate(get("cubic_viscous"), (1,), {}, np.arange(1), np.ones(1))
+    before = np.array([0.3, 0.1])
+    why = judged(now, c, HeldOut(before, before), HeldOut(1.004 * before, before * 1.004), Hyper((), (), 1.0), ()).why
+    assert why.startswith("it raises the error on motions that were not fitted by 0.4%, which it should lower")
+
+
+def test_an_error_is_told_with_its_joint_where_the_effect_acts_at_several() -> None:
+    """The numbers of a load were those of the joint where most of the error goes, a wrist's 0.4 N m beside a shoulder's 9."""
+    load = Ranked("payload", (), 9.0, 0.368, 0.327, {}, "", "", at="joint_5")
+    assert load.errors == "held-out error of joint_5 0.368 -> 0.327 N m"
+    pair = dataclasses.replace(load, effect="coupled_wrist", joints=("joint_5", "joint_6"))
+    assert pair.errors.startswith("held-out error of joint_5 ")
+    assert dataclasses.replace(load, joints=("joint_5",)).errors == "held-out error 0.368 -> 0.327 N m"
 
 
 def test_a_law_that_predicts_nothing_is_no_claim() -> None:

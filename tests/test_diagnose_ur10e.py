@@ -64,7 +64,7 @@ def test_the_mounted_mass_alone_is_found_and_weighed(loaded: Diagnosis) -> None:
     elbow = next(u for u in loaded.unexplained if u.joint == ELBOW)
     assert any("as much is left there that nothing explains" in words for words in elbow.resembles)
     first = loaded.ranked[0]
-    assert first.effect == "payload" and first.joints == ()
+    assert first.effect == "payload" and first.joints == () and first.errors.startswith(f"held-out error of {first.at} ")
     assert first.parameters["m"].value == pytest.approx(MOUNTED, rel=0.15)
     assert "description alone" not in first.says  # a model from recordings without it is what it was held against
     # one recording: held-out seconds stand in for held-out motions

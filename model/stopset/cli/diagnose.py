@@ -40,9 +40,7 @@ def run(args: argparse.Namespace) -> int:
         where = out["joint"] or "all joints"
         say(f"taken out beforehand: {out['what']}, {out['value']:.4g} +- {out['std']:.2g} {out['unit']} ({where})")
     for rank, r in enumerate(found.ranked, start=1):
-        say(
-            f"{rank}. {r.label}: score {r.score:.0f}, held-out error {r.error_before:.3g} -> {r.error_after:.3g} {r.unit}. {r.says}"
-        )
+        say(f"{rank}. {r.label}: score {r.score:.0f}, {r.errors}. {r.says}")
         for symbol, p in r.parameters.items():
             std = "" if p.std is None else f" +- {p.std:.2g}"
             say(f"     {symbol} = {p.value:.4g}{std} {p.unit}")

@@ -41,11 +41,22 @@ class Ranked:
     objection: str = ""  # why it is no finding after all
     surplus: bool = False  # that it is one more than are named is all that speaks against it
     together: tuple[str, ...] = ()  # effects that it must be added with: one of these alone makes some error larger
+    at: str = ""  # the joint that the errors are of, where it acts at several
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
     def label(self) -> str:
         return self.effect if not self.joints else f"{self.effect}:{'+'.join(self.joints)}"
+
+    @property
+    def whose(self) -> str:
+        """Of which joint the errors are, where that is not said by where it acts."""
+        return f" of {self.at}" if self.at and self.joints != (self.at,) else ""
+
+    @property
+    def errors(self) -> str:
+        """The errors in words, and whose they are."""
+        return f"held-out error{self.whose} {self.error_before:.3g} -> {self.error_after:.3g} {self.unit}"
 
     @property
     def fitted(self) -> Fitted:

@@ -153,7 +153,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
                 float(taken.stated[1][taken.joint]), given, c.effect.look_at, words + (INNER if taken.inner else ""),
-                points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus,
+                points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus, at=joints[taken.joint],
             )
         )  # fmt: skip
         error = error if why else taken.after

@@ -80,7 +80,7 @@ def _answer(found: Diagnosis) -> str:
     share = f" ({first.error_after / first.error_before - 1:+.0%})" if first.error_before else ""
     then = f" Then {', '.join(map(_place, more))}." if more else ""
     fall = f"{first.error_before:.3g} → {first.error_after:.3g} {first.unit}{share}"
-    return f"{found.verdict}: {_place(first)}, held-out error {fall}.{then}"
+    return f"{found.verdict}: {_place(first)}, held-out error{first.whose} {fall}.{then}"
 
 
 def _place(r: Ranked) -> str:

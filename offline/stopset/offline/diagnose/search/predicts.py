@@ -98,7 +98,9 @@ def _too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], lef
     keeps = x.inner or _keeps_more(x, left)
     if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
-    why = f"it lowers the error on motions that were not fitted by {lowered:.1%}; expected more than {expected:.0%}{beside}"
+    falls = f"lowers the error on motions that were not fitted by {lowered:.1%}"
+    rises = f"raises the error on motions that were not fitted by {-lowered:.1%}, which it should lower"
+    why = f"it {rises if lowered < 0 else falls}; expected more than {expected:.0%}{beside}"
     return "" if lowered > expected else why
 
 
