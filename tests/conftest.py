@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -58,21 +60,53 @@ def schunk_file(shared_data: Callable[[str], Path]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def schunk(schunk_file: Path):  # type: ignore[no-untyped-def]
-    """The identification of the Schunk arm with the default settings, once per session."""
-    from stopset.offline.description import load_robot
-    from stopset.offline.identify.pipeline import identify
+def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[], Any]], Any]:
+    """What is dear and asked for by tests of several files: made by whichever worker asks first, in this run's own folder."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "once"
+    folder.mkdir(exist_ok=True)
 
-    return identify(load_robot("lwa4p"), [schunk_file])
+    def get(name: str, make: Callable[[], Any]) -> Any:
+        import fcntl  # not on Windows, where these tests do not run
+
+        place = folder / name
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # given back as the file is closed, also by a worker that dies
+            if not place.exists():
+                whole = folder / f"{name}.whole"
+                whole.write_bytes(pickle.dumps(make()))
+                whole.rename(place)
+        return pickle.loads(place.read_bytes())
+
+    return get
 
 
 @pytest.fixture(scope="session")
-def schunk_start(schunk_file: Path):  # type: ignore[no-untyped-def]
+def schunk(schunk_file: Path, once: Callable[[str, Callable[[], Any]], Any]):  # type: ignore[no-untyped-def]
+    """The identification of the Schunk arm with the default settings, once per run."""
+    from stopset.offline.description import load_robot
+    from stopset.offline.identify.pipeline import identify
+
+    return once("schunk", lambda: identify(load_robot("lwa4p"), [schunk_file]))
+
+
+@pytest.fixture(scope="session")
+def schunk_model(schunk: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its model file, with the bytes that `stopset identify --robot lwa4p` writes."""
+    from stopset.artifact import save_model
+
+    path = tmp_path_factory.mktemp("schunk") / "lwa4p.model.json"
+    save_model(schunk.model, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def schunk_start(schunk_file: Path, once: Callable[[str, Callable[[], Any]], Any]):  # type: ignore[no-untyped-def]
     """The same on the paper's definition: predictions from each trial's start, no margin."""
     from stopset.offline.description import load_robot
     from stopset.offline.identify.pipeline import Settings, identify
 
-    return identify(load_robot("lwa4p"), [schunk_file], Settings(windows="start", margin=1.0))
+    return once("schunk start", lambda: identify(load_robot("lwa4p"), [schunk_file], Settings(windows="start", margin=1.0)))
 
 
 @pytest.fixture(scope="session")

@@ -103,6 +103,7 @@ def test_imports_go_down_only() -> None:
     assert not wrong
 
 
+@cache
 def imported() -> dict[str, set[str]]:
     """What each module imports of the project, inside functions and for types alone too."""
     return {m: {i for i in imports(m, everywhere=True) if i in modules() and i != m} for m in modules()}

@@ -100,11 +100,9 @@ def revise(model: Path, out: Path, *effects: str) -> tuple[int, dict[str, object
 
 
 @pytest.fixture(scope="module")
-def chain(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, dict[str, object]]]:
+def chain(tmp_path_factory: pytest.TempPathFactory, schunk_model: Path) -> list[tuple[Path, dict[str, object]]]:
     folder = tmp_path_factory.mktemp("revisions")
-    models = [folder / "0.model.json"]
-    assert main(["identify", "--robot", "lwa4p", "--data", str(DATA), "--out", str(models[0])]) == 0
-    steps: list[tuple[Path, dict[str, object]]] = [(models[0], {})]
+    steps: list[tuple[Path, dict[str, object]]] = [(schunk_model, {})]
     for k, effects in enumerate(STEPS, start=1):
         out = folder / f"{k}.model.json"
         code, answer = revise(steps[-1][0], out, *effects)
@@ -155,13 +153,12 @@ def test_an_effect_that_does_not_help_is_refused_with_the_numbers_and_nothing_is
 
 @pytest.mark.shared
 @needs_data
-def test_unknown_effects_and_joints_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    model = tmp_path / "m.model.json"
-    assert main(["identify", "--robot", "lwa4p", "--data", str(DATA), "--out", str(model), "--margin", "1"]) == 0
-    capsys.readouterr()
+def test_unknown_effects_and_joints_are_one_sentence(
+    schunk_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for effect, joint in (("gremlins", None), ("warm_up", "arm_9_joint")):
         out = tmp_path / "x.model.json"
-        words = ["add", str(model), effect, "--data", str(DATA), "--out", str(out)] + (["--joint", joint] if joint else [])
+        words = ["add", str(schunk_model), effect, "--data", str(DATA), "--out", str(out)] + (["--joint", joint] if joint else [])
         assert main(words) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) <= 2
         assert not out.exists()
