@@ -614,6 +614,71 @@ def test_two_monitors_of_one_data_id_are_believed_by_no_consumer(cell: Cell, rea
         assert wait(all_in(both, GOOD), 40.0), "it was switched off"
 
 
+def test_keys_change_while_consumers_go_on(cell: Cell, reader: Path) -> None:
+    """The order of deploy/README.md: consumers first, the monitor, the old one away. A SIGHUP between changes no key, and nothing is OK that a
+    key signed which consumers no longer hold."""
+    old, new = f"5 {'5a' * 32}\n", f"6 {'6b' * 32}\n"
+    keys = cell.folder / "arm.keys"
+    router = ZenohLink(PREFIX, mode="router", listen=[f"tcp/127.0.0.1:{(relay := free_port())}"])
+    text = cell.config.read_text()
+    cell.config.write_text(text.replace("listen = [", 'mode = "client"\nconnect = [').replace(str(cell.port), str(relay)))
+    keys.write_text(old + new)
+    signed: list[int] = []
+    router.subscribe("state", lambda _, d: signed.append(unpack(d)["key_id"]))
+    with contextlib.closing(router), cell.replay(), consumers(cell, reader, router) as both:
+        with cell.daemon() as monitor:
+            assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
+            keys.write_text(new + old)
+            monitor.send_signal(signal.SIGHUP)
+            rest(1.0)
+            assert all_in(both, GOOD)() and signed[-1] == 5
+            monitor.terminate()
+            monitor.wait(timeout=600)
+        assert wait(all_in(both, {State.FAULT}))
+        with cell.daemon():
+            assert wait(all_in(both, GOOD), 40.0), [c.said[-3:] for c in both]
+            assert signed[-1] == 6 and not any(Fault.FORGED in c.faults(0.0) for c in both)
+        keys.write_text(new)
+        with consumers(cell, reader, router) as later:
+            keys.write_text(old)
+            with cell.daemon():
+                signed.clear()
+                assert wait(lambda: len(signed) > 100), "a monitor that was given the old key again"
+                rest(1.0)
+                assert not any(c.since(0.0) & GOOD for c in later) and all(Fault.FORGED in c.faults(0.0) for c in later)
+
+
+def test_a_model_read_anew_by_one_monitor_is_no_matter_of_its_neighbours(cell: Cell, tmp_path: Path) -> None:
+    """Two arms, one router, the same model file; it is replaced, and one of the monitors told."""
+    router = ZenohLink(mode="router", listen=[f"tcp/127.0.0.1:{(relay := free_port())}"])
+    text = cell.config.read_text().replace("listen = [", 'mode = "client"\nconnect = [').replace(str(cell.port), str(relay))
+    cell.config.write_text(text)
+    second = cell.config.with_name("second.toml")
+    second.write_text('arm = "second"\n' + text.replace("data_id = 1001", "data_id = 1002"))
+    expect = expected(second, load_keys(cell.folder / "arm.keys"))
+    key = "/site/cell/second/stopset"
+    with contextlib.closing(router), cell.replay(), cell.daemon() as monitor, running("monitor", "--config", str(second)):
+        there = PythonReading(lambda nonce: router.put(f"{key}/challenge", nonce), expect, WATCHDOG)
+        events: dict[str, list[dict[str, Any]]] = {"arm": [], "second": []}
+        models: dict[str, list[int]] = {"arm": [], "second": []}
+        for arm in events:
+            router.subscribe(f"/site/cell/{arm}/stopset/event", lambda _, d, a=arm: events[a].append(json.loads(d)))
+            router.subscribe(f"/site/cell/{arm}/stopset/state", lambda _, d, a=arm: models[a].append(unpack(d)["model_hash"]))
+        router.subscribe(f"{key}/state", lambda _, d: there.take(d))
+        with contextlib.closing(there):
+            assert wait(lambda: there.now in GOOD and models["arm"], 40.0), there.said[-3:]
+            rest(1.0)
+            before = expect.model_hash
+            save_model(known_model(horizon=0.3), cell.folder / "arm.model.json")
+            monitor.send_signal(signal.SIGHUP)
+            assert wait(lambda: any(e["kind"] == "reloaded" for e in events["arm"])), events
+            at = time.monotonic()
+            assert wait(lambda: models["arm"][-1] != before)
+            rest(1.0)
+            assert set(models["second"]) == {before} and not any(e["kind"].startswith("reload") for e in events["second"])
+            assert there.now in GOOD and not {State.VIOLATION, State.INIT} & there.since(at)
+
+
 def test_another_tool_is_another_configuration_and_the_latch_goes_with_it(cell: Cell, reader: Path) -> None:
     """As docs/how-to/deploy.md has it: one file per tool, one journal; who expects one tool believes no monitor of the other."""
     empty, loaded = cell.config, cell.config.with_name("loaded.toml")

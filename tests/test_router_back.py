@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from monitor_arm import known_model, meta, motion
+from monitor_arm import known_model, meta, motion, with_torque_scaled
 from monitor_process import (
     DATA_ID,
     PREFIX,
@@ -88,6 +88,46 @@ def test_a_router_that_is_killed_makes_everything_stale_and_comes_back(tmp_path:
                 assert wait(lambda: reader.now in GOOD, 120.0), (reader.said[-3:], events[-3:])
                 assert wait(lambda: [r["word"] for r in fleet.rows()] != ["NO DATA"])
             assert monitor.poll() is None and replay.poll() is None, "all others went on by themselves"
+    finally:
+        reader.close()
+        link.close()
+        router.kill()
+        router.wait()
+
+
+def test_a_router_that_is_begun_anew_hides_no_latched_violation(tmp_path: Path) -> None:
+    """Consumers that go on believe nothing while it is gone, and the violation behind it; an order by the new one clears it."""
+    save_model(known_model(), tmp_path / "arm.model.json")
+    write_recordings(tmp_path / "altered.parquet", meta(), [with_torque_scaled(motion(0, 250), 3, 1.5)])
+    write_recordings(tmp_path / "good.parquet", meta(), [motion(s, 500, s) for s in range(2)])
+    port, bus = free_port(), free_port()
+    to = f"tcp/127.0.0.1:{port}"
+    config = tmp_path / "arm.toml"
+    config.write_text(
+        f'model = "arm.model.json"\ndata_id = {DATA_ID}\n[bus]\nlink = "hub:{bus}"\n[zenoh]\nmode = "client"\nconnect = ["{to}"]\n'
+        "[publish]\nvalid_for_ms = 1000\nstale_ms = 2000\n"
+    )
+    router = begun(port)
+    link = ZenohLink(PREFIX, mode="client", connect=[to])
+    reader = PythonReading(lambda nonce: link.put("challenge", nonce), expected(config), WATCHDOG_MS)
+    try:
+        link.subscribe("state", lambda _, data: reader.take(data))
+        with running("monitor", "--config", str(config)) as monitor:
+            assert wait(lambda: reader.consumer.last is not None), "it is there"
+            with running("replay", str(tmp_path / "altered.parquet"), "--to", f"hub:{bus}", "--wait", "1") as replay:
+                replay.wait(timeout=600)
+            assert wait(lambda: reader.now is State.VIOLATION), reader.said[-3:]
+            told = time.monotonic()
+            router.kill()
+            router.wait()
+            assert wait(lambda: reader.now is State.FAULT)
+            with running("replay", str(tmp_path / "good.parquet"), "--to", f"hub:{bus}", "--loop", "--wait", "1"):
+                router = begun(port)
+                assert wait(lambda: reader.now is State.VIOLATION, 120.0), reader.said[-3:]
+                assert not GOOD & reader.since(told)
+                link.put("reset", b'{"name": "A. Person", "reason": "seen to"}')
+                assert wait(lambda: reader.now in GOOD, 120.0), reader.said[-3:]
+            assert monitor.poll() is None
     finally:
         reader.close()
         link.close()
