@@ -272,6 +272,34 @@ def test_room_for_counts_is_there_from_the_start(tmp_path: Path, monkeypatch: py
     latch.close()
 
 
+def test_a_full_memory_gets_nothing_and_takes_up_what_was_counted_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was left an empty file; and what a life had counted on the disk meanwhile was not looked for when there was room again."""
+    place, written, full = tmp_path / "memory", os.pwrite, threading.Event()
+    place.mkdir()
+    full.set()
+    monkeypatch.setattr(journal_file, "MEMORY", place)
+
+    def crowded(fd: int, data: bytes, at: int) -> int:
+        if full.is_set() and Path(f"/proc/self/fd/{fd}").readlink().is_relative_to(place):
+            raise OSError(28, "No space left on device")
+        return written(fd, data, at)
+
+    monkeypatch.setattr(os, "pwrite", crowded)
+    path = tmp_path / "arm.latch"
+    journal = Journal(FileStore(path, Record()))
+    journal.read()
+    journal.count([7, 5])
+    assert not list(place.iterdir()) and list(tmp_path.glob(".*.counts"))
+    journal.close()
+    full.clear()
+    again = Journal(FileStore(path, Record()))
+    again.read()
+    assert again.counted() == [7, 5] and len(list(place.iterdir())) == 1 and not list(tmp_path.glob(".*.counts"))
+    again.close()
+
+
 def test_a_place_in_memory_that_is_somebody_else_s_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever could write there could have a violation forgotten, or lead the monitor's writes elsewhere."""
     place, victim = tmp_path / "memory", tmp_path / "victim"
