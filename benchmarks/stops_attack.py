@@ -44,6 +44,7 @@ from synthetic import with_payload
 
 GENES, OWN = 700, 350  # numbers of a stop; from which on they are those of its ramp
 NO_BOUND = ("elasticity", "backlash", "coupled_wrist")  # effects with which no stop is bounded
+LONGEST = 0.5  # [s] simulated after power-off: few stops last longer, some bounds do
 CHANGED = 0.06  # of a bred stop's numbers
 
 
@@ -161,7 +162,7 @@ def drawn(case: Case, genes: Genes, N: int) -> Batch:
     q = case.q + case.radii[0] * genes.choice([-1.0, 1.0], (N, n)) - end(V.lo[:n], V.hi[:n], n)
     dq = case.dq + case.radii[1] * genes.choice([-1.0, 1.0], (N, n)) - end(V.lo[n:], V.hi[n:], n)
     one = with_payload(model.robot, 1.0, s.payload_com).pi - model.robot.pi
-    load = genes.choice([p[0], p[1], 0.5 * sum(p)], N, p=[0.4, 0.4, 0.2])[:, None, None]
+    load = genes.choice(p, N)[:, None, None]
     t = model.domain.temp
     temp = np.full((N, n), REFERENCE_TEMPERATURE) if t is None else end(t.lo, t.hi, n)
     U = model.powered.U
@@ -182,8 +183,8 @@ def stops(case: Case, b: StopBound, rows: Array) -> Iterator[tuple[Stopped, floa
     if b.category in ("1", "2"):
         yield from _ramped(case, a, own)
         return
-    ramp, n, assert_time = case.bounds.ramp, case.model.n, b.time
-    assert assert_time is not None
+    ramp, n, said = case.bounds.ramp, case.model.n, b.time
+    assert said is not None
     before, pace = [np.zeros((1, n))] * len(rows), [v[None] for v in batch.dq]
     if b.category == "1 guaranteed":
         assert ramp is not None
@@ -191,7 +192,7 @@ def stops(case: Case, b: StopBound, rows: Array) -> Iterator[tuple[Stopped, floa
         pace = [s * v for s, v in zip(shares, batch.dq, strict=True)]
         before = [np.vstack([np.zeros(n), np.cumsum(x * DT, axis=0)]) for x in pace]
     at, fast = batch.q + np.array([x[-1] for x in before]), np.array([x[-1] for x in pace])
-    qs, vs, hold = power_off(case.model, a, at, fast, float(assert_time.max()))
+    qs, vs, hold = power_off(case.model, a, at, fast, min(float(said.max()), LONGEST))
     for k, (moved, slow) in enumerate(zip(before, pace, strict=True)):
         early = DT * np.arange(len(moved) - 1)
         t = np.r_[early, DT * (len(moved) - 1) + PIECE * np.arange(len(qs))]
@@ -250,8 +251,8 @@ def ratios(b: StopBound, x: Stopped, p: Places) -> Array:
     found = [x.rests, d.max(axis=0), -d.min(axis=0), np.abs(x.v).max(axis=0)]
     found += [[np.linalg.norm(p.tool - p.tool[0], axis=1).max(), np.linalg.norm(p.tool_speed, axis=1).max()]]
     found += [np.linalg.norm(p.ends - p.ends[0], axis=2).max(axis=0), np.linalg.norm(p.end_speed, axis=2).max(axis=0)]
-    told = [b.time, b.forward, b.back, b.speed, [b.tcp, b.tcp_speed], b.links, b.link_speed]
-    bound = np.concatenate([np.asarray(y, float) for y in told])
+    said = [b.time, b.forward, b.back, b.speed, [b.tcp, b.tcp_speed], b.links, b.link_speed]
+    bound = np.concatenate([np.asarray(y, float) for y in said])
     return np.asarray(np.concatenate(found) / np.maximum(bound, 2e-3))
 
 

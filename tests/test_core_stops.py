@@ -237,7 +237,7 @@ def test_a_point_whose_ways_are_not_known_has_the_sets_of_its_box() -> None:
 # ---- payloads
 
 
-def told(loop: StopBounds, q: Array, dq: Array) -> Stopped:
+def looped(loop: StopBounds, q: Array, dq: Array) -> Stopped:
     """A bound of Python's loop, in the core's words."""
     b = loop.bound(q, dq)
     assert b.time is not None and b.forward is not None and b.back is not None and b.speed is not None
@@ -255,7 +255,7 @@ def test_a_range_of_payloads_has_the_bound_of_its_parts_or_of_all_of_it_where_th
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
         if k < 20:
             continue
-        a, b, heavier, lighter = either.bound(q, dq), *(told(loop, q, dq) for loop in (whole, *parts))
+        a, b, heavier, lighter = either.bound(q, dq), *(looped(loop, q, dq) for loop in (whole, *parts))
         assert a is not None
         worst = Stopped(*(np.maximum(getattr(heavier, x), getattr(lighter, x)) for x in Stopped.__slots__))
         less = bool(worst.tool[0] < b.tool[0])
@@ -280,7 +280,7 @@ def test_payloads_that_are_alike_are_bounded_by_one_tube_of_finer_steps() -> Non
     nearer = 0
     for _ in range(8):
         q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
-        a, b, loop = core.bound(q, dq), told(coarse, q, dq), alike.bound(q, dq)
+        a, b, loop = core.bound(q, dq), looped(coarse, q, dq), alike.bound(q, dq)
         assert a is not None and loop.forward is not None and loop.back is not None
         assert np.array_equal(a.forward, loop.forward) and np.array_equal(a.back, loop.back) and np.array_equal(a.time, loop.time)
         nearer += bool(max(a.forward.max(), a.back.max()) < max(b.forward.max(), b.back.max()))

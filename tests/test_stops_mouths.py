@@ -83,9 +83,9 @@ def cells_of_page(html: str) -> list[list[str]]:
 
 def message_says(want: StopBound, numbers, category: Category) -> bool:  # type: ignore[no-untyped-def]
     """Whether a packed message holds the bound, each number up by no more than its unit, and the flag of a struck end."""
-    told = Situation(True, "", False, False, "", 0.0, 0.0, None, None, True, {category: numbers})
+    said = Situation(True, "", False, False, "", 0.0, 0.0, None, None, True, {category: numbers})
     name = PREFIX[category]
-    got = unpack(Packer(None).pack(stop_fields(name, numbers) | {"flags": flags_of(told)}))
+    got = unpack(Packer(None).pack(stop_fields(name, numbers) | {"flags": flags_of(said)}))
     if not want.certified:
         return bool(np.all(np.isinf(np.array(got[f"{name}_time"])))) and not got["flags"] & Flag.END_STOP
     assert want.time is not None and want.forward is not None and want.back is not None and want.tcp is not None
@@ -137,11 +137,11 @@ def test_monitor_and_fmu_say_what_the_bound_says(name: str, tmp_path: Path) -> N
                 u.state(model, q, dq)
                 for category, stem in ASKED:
                     want, x = units.bound(q, dq, category), np.concatenate([q, dq])
-                    told = answer_for(desk, category, x, x).numbers
+                    said = answer_for(desk, category, x, x).numbers
                     near = law.bound(q, dq, category, *np.full((2, model.n), np.nextafter(0.0, 1.0)))  # the box of one reading
-                    assert equals(u, model, want, stem) and message_says(near, told, category)
+                    assert equals(u, model, want, stem) and message_says(near, said, category)
                     assert alike(want, near, SAME if payload == model.domain.payload else ALIKE)
-                    assert u.get(f"{stem}_end_stop") == bool(want.end_stops) and told.end_stops == near.end_stops
+                    assert u.get(f"{stem}_end_stop") == bool(want.end_stops) and said.end_stops == near.end_stops
                     struck.append(bool(want.end_stops))
     assert 5 < sum(struck) < len(struck) - 5
 
