@@ -9,7 +9,7 @@ import numpy as np
 
 from stopset.effects import get
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Candidate, Key, Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
@@ -20,7 +20,7 @@ from stopset.offline.diagnose.search.wanted import askable
 
 
 def settle(
-    now: Hypothesis, best: Sequence[Scored], hyper: Hyper, refused: Set[Key] = frozenset()
+    now: Hypothesis, best: Sequence[Scored], hyper: Hyper, refused: Set[EffectKey] = frozenset()
 ) -> tuple[Settled, tuple[Scored, ...]]:
     """Of contenders, ``best`` first, the one to claim, and its rivals.
 
@@ -105,7 +105,7 @@ def within_reach(engine: Engine, c: Candidate) -> bool:
     return c.shapes["K"] < limit.SWINGS[1] ** 2 * M
 
 
-def _plainer(now: Hypothesis, best: Settled, hyper: Hyper, refused: Set[Key]) -> list[Settled]:
+def _plainer(now: Hypothesis, best: Settled, hyper: Hyper, refused: Set[EffectKey]) -> list[Settled]:
     """Laws without shapes that look like the one of ``best``, have fewer parameters and could be claimed themselves, at its joints."""
     c = best.candidate
     alike = map(get, dict.fromkeys((*c.effect.refines, *c.effect.looks_like)))
