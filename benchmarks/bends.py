@@ -14,7 +14,7 @@ import numpy as np
 from as_found import PROGRAM, Trouble, geared, recorded
 from backlash import asked
 
-from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
+from stopset.offline.diagnose.evidence.uncertainty import TWO_SIDES
 from stopset.offline.diagnose.plays import plays
 from stopset.recording import Recordings
 from stopset.simulation import prepare

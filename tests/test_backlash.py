@@ -14,7 +14,7 @@ from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import diagnose
-from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
+from stopset.offline.diagnose.evidence.uncertainty import TWO_SIDES
 from stopset.offline.diagnose.plays import plays
 from stopset.recording import Recordings, read_recordings, write_recordings
 from stopset.robot.rigid import gravity_torques

@@ -233,15 +233,35 @@ def test_no_model_is_made_of_a_real_arms_torque_in_per_cent(shared_data, tmp_pat
     assert "it is in per cent of it; expected about 1, N m on the link side: convert tau" in said.out + said.err
 
 
+def holding(s: Scenario, joint: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> Recordings:
+    """A program of the arm through which one joint stands."""
+    slow = s.cell.space._replace(speed=s.cell.space.speed * np.where(np.arange(s.robot.n) == joint, 1e-3, 1.0))
+    monkeypatch.setattr(as_found, "point_to_point", fourier)  # at that speed it would not arrive
+    data = recorded(replace(s, cell=replace(s.cell, space=slow)), PROGRAM, 100.0, Trouble(), seed)
+    assert max(float(np.ptp(r.q[:, joint])) for r in data) < 0.01
+    return data
+
+
 def test_a_joint_that_stands_throughout_says_nothing_and_hinders_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Arms are recorded with a joint held: that was a defect of stopset (no row of a joint, so no shape of its columns)."""
-    held = 2
     s = prepare(robot_from_text(ARM), ["spring:lift"], 5, "short")
-    slow = s.cell.space._replace(speed=s.cell.space.speed * np.where(np.arange(s.robot.n) == held, 1e-3, 1.0))
-    monkeypatch.setattr(as_found, "point_to_point", fourier)  # at that speed it would not arrive
-    data = recorded(replace(s, cell=replace(s.cell, space=slow)), PROGRAM, 100.0, Trouble(), 8)
-    assert max(float(np.ptp(r.q[:, held])) for r in data) < 0.01
-    found = diagnose(s.robot, data)
+    found = diagnose(s.robot, holding(s, 2, 8, monkeypatch))
     assert found.ranked[0].label == "spring:lift"
     why = {b.effect: b.why for b in found.not_identifiable if b.joints == ("bend",)}
     assert {"spring", "stribeck", "elasticity"} <= set(why) and set(why.values()) == {"the joint hardly moves"}
+
+
+def test_what_changed_is_told_though_a_joint_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of that joint there is no residual, whose size all others' were divided by."""
+    s = prepare(robot_from_text(ARM), ["none"], 5, "short")
+    first = recorded(s, PROGRAM, 100.0, Trouble(), 7)
+    first = replace(first, meta=replace(first.meta, sources=(("first.parquet", "first"),)))
+    model = identified(s.robot, Campaign(first.meta, lambda: iter(first.trials)), Settings()).model
+    plant = s.cell.truth.plant
+    more = np.array([1.0, 1.5, 1.0])
+    worn = replace(s.cell, truth=replace(s.cell.truth, plant=plant._replace(fc=plant.fc * more, fv=plant.fv * more)))
+    later = holding(replace(s, cell=worn), 2, 9, monkeypatch)
+    later = replace(later, meta=replace(later.meta, sources=(("later.parquet", "later"),)))
+    found, _ = diagnose_model(model, later)
+    assert found.verdict == "changed", found
+    assert {r.joints for r in found.ranked} == {("lift",)} and {r.effect for r in found.ranked} <= {"coulomb", "viscous"}

@@ -88,7 +88,8 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
     if count < limit.CHANGE_TRIALS:
         return ()
     out: list[Change] = []
-    scale = np.maximum(np.sqrt(np.nanmean(left**2, axis=0)), 1e-9)
+    rows = np.isfinite(left).sum(axis=0)  # none where a joint stands throughout
+    scale = np.maximum(np.sqrt(np.nansum(left**2, axis=0) / np.maximum(rows, 1)), 1e-9)
     while len(out) < limit.CHANGES:
         tried = [(c, j) for c in found if (j := _judged(left, block, count, scale, c)).gain > 0]
         if not tried:

@@ -13,9 +13,9 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
-from stopset.offline.diagnose.explain.uncertainty import deviations, drives_scale
 from stopset.offline.diagnose.load import of_a_body, says
 from stopset.offline.diagnose.plays import Plays, plays
 from stopset.offline.diagnose.remainder import Left, left_of

@@ -16,7 +16,7 @@ import numpy as np
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Parameter
-from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
+from stopset.offline.diagnose.evidence.uncertainty import TWO_SIDES
 from stopset.offline.nominal.physical import SMALL, pseudo_inertia
 from stopset.robot.arm import standard_parameters
 from stopset.types import Array

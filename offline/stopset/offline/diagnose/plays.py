@@ -19,8 +19,8 @@ import numpy as np
 from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Parameter, Ranked
+from stopset.offline.diagnose.evidence.uncertainty import TWO_SIDES
 from stopset.offline.diagnose.explain.identifiable import Blind
-from stopset.offline.diagnose.explain.uncertainty import TWO_SIDES
 from stopset.offline.diagnose.standing import moves
 from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recordings

@@ -36,11 +36,10 @@ from stopset.offline.conform import (
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, plays, thresholds
 from stopset.offline.diagnose.columns import elasticity
-from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors
-from stopset.offline.diagnose.explain import uncertainty
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
-from stopset.offline.diagnose.search import levers, refine, ripple, settled, wanted
+from stopset.offline.diagnose.search import moment_arms, refine, ripple, settled, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
@@ -176,7 +175,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis settlement", settled, "PARTS"),
-    ("diagnosis settlement", levers, "SEARCHES ALONG CLIMB FALLS"),
+    ("diagnosis settlement", moment_arms, "SEARCHES ALONG CLIMB FALLS"),
     ("diagnosis wanted", wanted, "LAGS"),
     ("diagnosis play", plays, "PART FEWEST SOFT CROSSING STILL"),
     ("diagnosis open loop", compensated, "STEP SCREENING FINALISTS"),

@@ -12,7 +12,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.evidence import gain, gains
 from stopset.types import Array, Index
 
-Key = tuple[str, tuple[int, ...]]  # effect and joints
+EffectKey = tuple[str, tuple[int, ...]]  # effect and joints
 HELD = 1e12  # prior precision of a term held at zero
 
 
@@ -28,7 +28,7 @@ class Candidate:
     charge: float = 0.0  # evidence to pay for having searched many shapes
 
     @property
-    def key(self) -> Key:
+    def key(self) -> EffectKey:
         return (self.effect.name, self.joints)
 
     @property
@@ -49,7 +49,7 @@ class Form:
     """What a claimed law leaves where its form is not quite true; ``cols``: global columns, each the law's torque times one
     function of what it looks at."""
 
-    of: Key
+    of: EffectKey
     cols: Index
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from stopset.effects import catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Key, Scored
+from stopset.offline.diagnose.evidence.candidate import EffectKey, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
@@ -68,7 +68,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     claims: list[Claim] = []
     left: list[Scored] = []
     first = before = held_out(now, hyper)
-    refused = set[Key]()
+    refused = set[EffectKey]()
     for _ in range(limit.MAX_CLAIMS):
         found = engine.add_all(ripples.strongest(now, p.theta, hyper)) if ripples else []
         charge = 2 * np.log(len(RIPPLES))
@@ -154,7 +154,7 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
     return again is not None and again.score - c.charge >= limit.THRESHOLD
 
 
-def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper, refused: Set[Key]) -> tuple[Hypothesis, Claim]:
+def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper, refused: Set[EffectKey]) -> tuple[Hypothesis, Claim]:
     """A narrow decision between contenders taken again, now that all the other causes are known: those that no later claim says."""
     if claim.scored.candidate.effect.role == "swing":
         return now, claim

@@ -9,18 +9,18 @@ import numpy as np
 
 from stopset.effects import get
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Candidate, Key, Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
-from stopset.offline.diagnose.search.levers import distinct, geared
+from stopset.offline.diagnose.search.moment_arms import distinct, geared
 from stopset.offline.diagnose.search.refine import refine
 from stopset.offline.diagnose.search.settled import Settled, refines, refitted
 from stopset.offline.diagnose.search.wanted import askable
 
 
 def settle(
-    now: Hypothesis, best: Sequence[Scored], hyper: Hyper, refused: Set[Key] = frozenset()
+    now: Hypothesis, best: Sequence[Scored], hyper: Hyper, refused: Set[EffectKey] = frozenset()
 ) -> tuple[Settled, tuple[Scored, ...]]:
     """Of contenders, ``best`` first, the one to claim, and its rivals.
 
@@ -41,9 +41,9 @@ def settle(
     asked = {x.candidate.key for x in settled}
     plainer = _plainer(now, likeliest, hyper, refused)
     settled += [x for x in plainer if x.candidate.key not in asked and not said_already(now.active, x.candidate)]
-    apart = [x for x in settled if x.evidence > likeliest.evidence - limit.THRESHOLD and distinct(x, settled)]
-    likeliest = max(apart, key=lambda x: x.evidence, default=likeliest)
-    alike = [x for x in settled if not apart and _simplifies(x.candidate, likeliest.candidate)]
+    separate = [x for x in settled if x.evidence > likeliest.evidence - limit.THRESHOLD and distinct(x, settled)]
+    likeliest = max(separate, key=lambda x: x.evidence, default=likeliest)
+    alike = [x for x in settled if not separate and _simplifies(x.candidate, likeliest.candidate)]
     enough = [x for x in alike if x.mended > likeliest.evidence - limit.THRESHOLD]
     top = min(enough, key=lambda x: (_size(x.candidate), -x.mended), default=likeliest)
     if not top.possible:
@@ -105,7 +105,7 @@ def within_reach(engine: Engine, c: Candidate) -> bool:
     return c.shapes["K"] < limit.SWINGS[1] ** 2 * M
 
 
-def _plainer(now: Hypothesis, best: Settled, hyper: Hyper, refused: Set[Key]) -> list[Settled]:
+def _plainer(now: Hypothesis, best: Settled, hyper: Hyper, refused: Set[EffectKey]) -> list[Settled]:
     """Laws without shapes that look like the one of ``best``, have fewer parameters and could be claimed themselves, at its joints."""
     c = best.candidate
     alike = map(get, dict.fromkeys((*c.effect.refines, *c.effect.looks_like)))

@@ -11,7 +11,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.explain.uncertainty import deviations
+from stopset.offline.diagnose.evidence.uncertainty import deviations
 from stopset.offline.diagnose.search.refine import sharpened
 from stopset.types import Array
 
