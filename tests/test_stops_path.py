@@ -264,6 +264,23 @@ def test_a_path_stop_carries_its_payload_where_it_is() -> None:
     assert any("[0.0, 0.0, 0.5] m" in a for a in out.bound.assumptions)
 
 
+def test_a_path_that_grazes_the_end_of_a_range_is_told_so_within_the_tracking_error() -> None:
+    """The path stays within the ranges; the arm that is led along it may be a tracking error and a reading's error beside it."""
+    path, s = Path.through(POINTS), np.linspace(0.0, 3.0, 3001)
+    begin, top = float(s[np.argmax(path.p(s, 0)[:, 1])]), path.p(s, 0)[:, 1].max()
+    ramp = replace(RAMP, q_error=np.full(6, 2e-3))
+    noise = StopBounds.of(MODEL, ramp=ramp).setting.noise  # type: ignore[union-attr]
+    read = max(-noise.lo[1], noise.hi[1])
+    for beside, told in ((1e-4, True), (1.9e-3 + read, True), (2.1e-3 + read, False)):
+        limit = MODEL.robot.q_limit.copy()
+        limit[1, 1] = top + beside
+        bound = path_stop(
+            StopBounds.of(replace(MODEL, robot=replace(MODEL.robot, q_limit=limit)), ramp=ramp), path, begin, 0.5
+        ).bound
+        assert bound.certified and bound.end_stops == (("arm_2_joint",) if told else ())
+        assert ("arm_2_joint can come to an end stop" in bound.why) is told
+
+
 def test_a_path_through_states_no_recording_shows_is_not_covered_or_marked() -> None:
     path = Path.through(POINTS)
     v = 1.5 * np.abs(path.p(np.array([0.5]), 1)[0])

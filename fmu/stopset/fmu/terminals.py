@@ -23,7 +23,10 @@ TERMINALS = {
         ("STOP", "EVALUATE_STOP", "STOP_TIME", "STOP_ANGLE", "STOP_FORWARD", "STOP_BACK", "STOP_CERTIFIED", "STOP_END_STOP"),
         "request of a stop, and the bounds of one",
     ),
-    "path": (("PATH_ROW", "PATH_RATE", "PATH_STOP_TIME", "PATH_STOP_CERTIFIED"), "a stop along the programmed path"),
+    "path": (
+        ("PATH_ROW", "PATH_RATE", "PATH_STOP_TIME", "PATH_STOP_CERTIFIED", "PATH_STOP_END_STOP"),
+        "a stop along the programmed path",
+    ),
 }
 SIZE = 96  # pixels of the icon
 # of the icon, as shares of its size: an arm of two links, and the line it must not cross

@@ -309,7 +309,7 @@ def _switches(m: Model, kinds: Sequence[StopCategory]) -> list[Variable]:
         *((f"{c.stem}_certified", "output", f"whether the bounds of {c.what} are proven for this state", None) for c in kinds),
         *((("ss1_monitored", "parameter", monitored, braking.monitored),) if braking is not None else ()),
         ("restart", "parameter", "predict anew from the measured state when the horizon is over", True),
-        *((f"{c.stem}_end_stop", "output", _END_STOP.format(c.what), None) for c in kinds if c is not ON_PATH),
+        *((f"{c.stem}_end_stop", "output", _END_STOP.format(c.what), None) for c in kinds),
     )
     out = []
     for name, causality, what, start in integers:

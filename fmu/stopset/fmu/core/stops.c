@@ -77,10 +77,12 @@ static int on_the_path(const StopsetState *s, const StopsetPassed *p) {
     return 1;
 }
 
-static int bounded_on_path(const StopsetState *s, StopsetWork *w, const StopsetStops *stops, const StopsetBound *out) {
+/* Its ways count from where the path is, not from this state. */
+static int bounded_on_path(const StopsetState *s, StopsetWork *w, const StopsetStops *stops, const StopsetBound *out, double *begin) {
     StopsetPassed passed;
     const StopsetRequest request = {s->r[VR_PATH_ROW], s->r[VR_PATH_RATE]};
     if (stopset_path_stop(stops, &stopset_ramp, &stopset_path, &request, w->proof, &passed, out) != STOPSET_OK) return 0;
+    for (int i = 0; i < NJ; i++) begin[i] = passed.q[i] - stopset_model.truth_centre[i];
     return on_the_path(s, &passed);
 }
 #endif
@@ -112,11 +114,13 @@ static StopsetStops carrying(const StopsetState *s, double pi[NJ][10], double ha
     return out;
 }
 
-static int bounded(const StopsetState *s, StopsetWork *w, int category, const StopsetStates *from, const StopsetBound *out) {
+static int bounded(const StopsetState *s, StopsetWork *w, int category, const StopsetStates *from, const StopsetBound *out, double *begin) {
     double pi[NJ][10], half[NJ][10];
     const StopsetStops stops = carrying(s, pi, half);
 #if HAS_PATH
-    if (category == STOP_PATH) return bounded_on_path(s, w, &stops, out);
+    if (category == STOP_PATH) return bounded_on_path(s, w, &stops, out, begin);
+#else
+    (void)begin;
 #endif
     if (category == STOP_0) return stopset_power_off(&stops, from, w->proof, out) == STOPSET_OK;
 #if N_STOPS > 1
@@ -145,6 +149,7 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
     for (int i = 0; i < NJ; i++) {
         q[i] = c->q[i] + centre[i];
         dq[i] = c->dq[i] + centre[NJ + i];
+        c->begin[i] = c->q[i];
         rq[i] = radius[i] + c->q_radius[i];
         rdq[i] = radius[NJ + i] + c->dq_radius[i];
     }
@@ -152,7 +157,7 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
     c->row = s->r[VR_PATH_ROW];
     c->rate = s->r[VR_PATH_RATE];
 #endif
-    c->proved = (uint8_t)bounded(s, w, category, &from, &out);
+    c->proved = (uint8_t)bounded(s, w, category, &from, &out, c->begin);
     c->made = 1;
     c->exact = (uint8_t)exact;
     c->at = s->r[VR_TIME];
@@ -163,8 +168,8 @@ static void certify(StopsetState *s, StopsetWork *w, int category, int exact) {
 static const unsigned first_of[] = {VR_STOP_TIME, VR_STOP1_NOMINAL_TIME, VR_STOP1_GUARANTEED_TIME, VR_STOP2_TIME, VR_PATH_STOP_TIME};
 static const unsigned flag_of[] = {IX_STOP_CERTIFIED, IX_STOP1_NOMINAL_CERTIFIED, IX_STOP1_GUARANTEED_CERTIFIED, IX_STOP2_CERTIFIED,
                                    IX_PATH_STOP_CERTIFIED};
-/* Whether a joint can strike the end of its range; a path that leads there is refused. */
-static const unsigned struck_of[] = {IX_STOP_END_STOP, IX_STOP1_NOMINAL_END_STOP, IX_STOP1_GUARANTEED_END_STOP, IX_STOP2_END_STOP, N_BOOL};
+static const unsigned struck_of[] = {IX_STOP_END_STOP, IX_STOP1_NOMINAL_END_STOP, IX_STOP1_GUARANTEED_END_STOP, IX_STOP2_END_STOP,
+                                     IX_PATH_STOP_END_STOP};
 
 int stopset_stop_output(unsigned real) {
     for (int k = 0; k < N_STOPS; k++)
@@ -184,7 +189,7 @@ static int strikes(const StopsetCertificate *c) {
     int out = 0;
     for (int i = 0; i < NJ; i++) {
         const double off = c->q_radius[i] + fmax(fabs(m->noise_lo[i]), fabs(m->noise_hi[i]));
-        out |= (c->q[i] + off + c->forward[i] > m->range_hi[i]) | (c->q[i] - off - c->back[i] < m->range_lo[i]);
+        out |= (c->begin[i] + off + c->forward[i] > m->range_hi[i]) | (c->begin[i] - off - c->back[i] < m->range_lo[i]);
     }
     return out;
 }
@@ -203,7 +208,7 @@ static void publish(StopsetState *s, int category, int proved) {
     out[4 * NJ + 1] = proved ? c->tool[1] : (double)NAN;
     out[4 * NJ + 2] = proved ? s->r[VR_TIME] - c->at : (double)NAN;
     s->b[flag_of[category]] = (uint8_t)proved;
-    if (struck_of[category] < N_BOOL) s->b[struck_of[category]] = (uint8_t)(proved && strikes(c));
+    s->b[struck_of[category]] = (uint8_t)(proved && strikes(c));
 }
 
 /* Which categories speak of the stop that is asked for: 1 STOP 0, 2 STOP 1, working and failing, 3 STOP 2. */

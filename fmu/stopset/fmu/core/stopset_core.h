@@ -136,9 +136,9 @@ typedef struct {
 } StopsetPast;
 #endif
 
-/* A stop bound and the box of states that it holds for; `steps` since it was made. */
+/* A stop bound and the box of states that it holds for; `steps` since it was made; `begin`: the pose, as it is read, that its ways count from. */
 typedef struct {
-    double q[NJ], dq[NJ], q_radius[NJ], dq_radius[NJ], time[NJ], forward[NJ], back[NJ], speed[NJ], tool[2], at, row, rate;
+    double q[NJ], dq[NJ], q_radius[NJ], dq_radius[NJ], begin[NJ], time[NJ], forward[NJ], back[NJ], speed[NJ], tool[2], at, row, rate;
     int32_t steps;
     uint8_t made, exact, proved;
 } StopsetCertificate;

@@ -108,9 +108,9 @@ class StopBounds:
             bound = self._failed_ramp(box)
         else:
             bound = self._working_ramp(box, category)
-        return self.marked(self._near_end_stops(bound, q, more_q), beyond)
+        return self.marked(self.near_end_stops(bound, q, more_q), beyond)
 
-    def _near_end_stops(self, bound: StopBound, q: Array, radius: Array) -> StopBound:
+    def near_end_stops(self, bound: StopBound, q: Array, radius: Array) -> StopBound:
         """The bound, saying which joints may run into the ends of their range, which the arm's range ``q +- radius`` (n,) [rad] and the bound
         itself tell: no joint limit on the way is an assumption of it."""
         assert self.setting is not None

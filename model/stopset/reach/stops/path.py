@@ -225,7 +225,9 @@ def _judged(bounds: StopBounds, setting: Setting, ramp: Ramp, passed: Passed, ou
     margin = margins.min(axis=0)
     if margin.min() <= 0:
         return bounds.refused_for("1", margin, poses[int(np.argmin(margins.min(axis=1)))])
-    return bounds.marked(replace(_bound(bounds.model, setting, ramp, passed, out), holding_margin=margin), beyond)
+    bound = replace(_bound(bounds.model, setting, ramp, passed, out), holding_margin=margin)
+    # the path itself stays within the joints' ranges; led along it the arm may not
+    return bounds.marked(bounds.near_end_stops(bound, read[0], np.zeros(bounds.model.n)), beyond)
 
 
 def _bound(model: Model, setting: Setting, ramp: Ramp, passed: Passed, out: list[Array]) -> StopBound:
