@@ -19,7 +19,7 @@ from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.load import of_a_body, says
 from stopset.offline.diagnose.plays import Plays, plays
 from stopset.offline.diagnose.remainder import Left, left_of
-from stopset.offline.diagnose.search.predicts import Step, step
+from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
 from stopset.offline.nominal.prior import Tolerance
@@ -111,15 +111,22 @@ def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[S
 
 def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int, Step]:
     """The step of each claim to be named, by its place; a claim that lowers the error too little beside those before it, now that all
-    are known, gets that as its objection."""
+    are known, gets that as its objection.
+
+    What a free base takes up need not show in motions that were not fitted, unless its like at another joint has numbers that it cannot
+    have: what imitates it there may do so here.
+    """
     out, before, earlier = dict[int, Step](), found.before, list[Candidate]()
+    effects = [claim.scored.candidate.effect for claim in found.claims]
+    imitated = {e.name for e, why in zip(effects, objections, strict=True) if why and e.absorbed}
     for k, claim in enumerate(found.claims):
         if objections[k] or len(out) == limit.HANDFUL:
             continue
         c = claim.scored.candidate
         taken = step(already, c, before, found.hyper, earlier, found.excess)
-        if taken.why:
-            objections[k] = taken.why
+        why = taken.why or (too_little(taken, c, earlier, found.excess) if c.effect.name in imitated else "")
+        if why:
+            objections[k] = why
             continue
         out[k], already, before, earlier = taken, already.plus(c), taken.after, [*earlier, c]
     return out

@@ -75,9 +75,9 @@ def judged(
     unseen = gain and max(_lowered(whole)[1], _lowered(inner)[1]) <= limit.LOWERED
     if candidate.effect.absorbed and not (doubtful or unseen or (earlier and now.engine.modelled)):
         return whole
-    whole = replace(whole, why=_too_little(whole, candidate, earlier, left))
+    whole = replace(whole, why=too_little(whole, candidate, earlier, left))
     hidden = whole.why and candidate.effect.role == "friction"
-    return inner if hidden and not _too_little(inner, candidate, earlier, left) else whole
+    return inner if hidden and not too_little(inner, candidate, earlier, left) else whole
 
 
 def _lowered(x: Step) -> tuple[int, float]:
@@ -92,7 +92,7 @@ def _keeps_more(x: Step, left: Sequence[float]) -> bool:
     return len(left) > 0 and left[_lowered(x)[0]] > limit.QUIET
 
 
-def _too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
+def too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
     """Why an error falls too little, empty where it does not."""
     lowered, expected, beside = _lowered(x)[1], _least(candidate, earlier), ""
     keeps = x.inner or _keeps_more(x, left)
