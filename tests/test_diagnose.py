@@ -580,7 +580,7 @@ def test_a_decision_taken_again_brings_no_second_form_of_a_law_that_is_claimed()
     gas = score_new(base, get("counterbalance"), (1,), {"q_0": 3.5, "r": 0.8}, hyper)
     assert claimed is not None and gas is not None and gas.score > max(claimed.score, 0.0) + THRESHOLD
     claim = search_module.Claim(dataclasses.replace(claimed, candidate=tilt), claimed.score, (gas,), (), ())
-    now, again = search_module._settled_again(base.plus(tilt), claim, hyper)
+    now, again = search_module._settled_again(base.plus(tilt), claim, hyper, frozenset())
     assert again.scored.candidate.effect.name == "base_tilt"
     assert {c.effect.name for c in now.active if c.joints == (1,)} & {"cable", "counterbalance"} == {"cable"}
 

@@ -49,7 +49,7 @@ class Unit(Instance):
 
     def bounds(self) -> Any:
         scalars = {n: v for n, v in self.variables.items() if v.causality == "output" and not v.dimensions}
-        return self.get([n for n in scalars if "stop" in n and not n.endswith("_certified")])
+        return self.get([n for n in scalars if "stop" in n and not n.endswith(("_certified", "_end_stop"))])
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
