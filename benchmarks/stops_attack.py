@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from stop_arms_wide import arms
 from stops_effects import COLD, PIECE, WARM, Batch, Laws, cases, misread_by
-from stops_effects_published import ELSE, HELD, Asked, held, power_off, ramps, rests
+from stops_effects_published import ELSE, HELD, Asked, held, left_window, power_off, ramps, rests
 
 from stop_failing import failing_shares
 from stop_published import CHECKED, SHOWN, Places, Stopped, ramp_motion
@@ -215,12 +215,7 @@ def _ramped(case: Case, a: Asked, own: Sequence[Genes]) -> Iterator[tuple[Stoppe
         rows.append((t, batch.q[k] + moved, w, ended))
     over = _asked_of_drives(case, a, ramp, own)
     hold = held(model, a, laws, np.array([q[-1] for _, q, *_ in rows]))
-    left: list[tuple[float, float] | None] = [None] * len(rows)
-    if a.b.category == "2" and a.b.fallback is not None:
-        qs, vs, _ = power_off(model, a, crept, side * ramp.creep, a.b.fallback[1])
-        gone = PIECE * np.arange(len(qs))
-        for k, (_, q, *_) in enumerate(rows):
-            left[k] = float(np.abs(qs[:, k] - q[-1]).max()), float(ramp.reaction + rests(gone, vs[:, k], SPEED_ERROR).max())
+    left = left_window(model, a, ramp, (crept, side * ramp.creep), [q[-1] for _, q, *_ in rows])
     for k, (t, q, w, ended) in enumerate(rows):
         yield Stopped(t, q, w, ended, hold[k], left[k]), float(over[k])
 

@@ -98,6 +98,21 @@ def rests(t: Array, v: Array, band: Array | float) -> Array:
     return np.asarray(t[np.where(moves.any(axis=0), len(t) - 1 - np.argmax(moves[::-1], axis=0), 0)])
 
 
+def left_window(
+    model: Model, a: Asked, ramp: Ramp, begin: tuple[Array, Array], ended: Sequence[Array]
+) -> list[tuple[float, float] | None]:
+    """Of arms that drift out of a STOP 2's window: how far [rad] from where their ramps ``ended`` (N, n) they get, and how long [s] it takes;
+    ``begin``: where and how fast they are as power is taken, (N, n) each. None each of other stops."""
+    if a.b.category != "2" or a.b.fallback is None:
+        return [None] * len(ended)
+    qs, vs, _ = power_off(model, a, *begin, a.b.fallback[1])
+    gone = PIECE * np.arange(len(qs))
+    return [
+        (float(np.abs(qs[:, k] - q).max()), float(ramp.reaction + rests(gone, vs[:, k], SPEED_ERROR).max()))
+        for k, q in enumerate(ended)
+    ]
+
+
 def stops(model: Model, a: Asked) -> Iterator[Stopped]:
     """One stop of each arm of the batch."""
     ramp, q0, v0, n = a.bounds.ramp, a.batch.q, a.batch.dq, model.n
@@ -134,12 +149,7 @@ def _ramped(model: Model, a: Asked) -> Iterator[Stopped]:
         crept[k] += moved[-1] + side[k] * ramp.creep * ramp.reaction
         rows.append((t, q0[k] + moved, w, ended))
     hold = held(model, a, laws, np.array([q[-1] for _, q, *_ in rows]))
-    left: list[tuple[float, float] | None] = [None] * len(q0)
-    if a.b.category == "2" and a.b.fallback is not None:
-        qs, vs, _ = power_off(model, a, crept, side * ramp.creep, a.b.fallback[1])
-        gone = PIECE * np.arange(len(qs))
-        for k, (_, q, *_) in enumerate(rows):
-            left[k] = float(np.abs(qs[:, k] - q[-1]).max()), float(ramp.reaction + rests(gone, vs[:, k], SPEED_ERROR).max())
+    left = left_window(model, a, ramp, (crept, side * ramp.creep), [q[-1] for _, q, *_ in rows])
     for k, (t, q, w, ended) in enumerate(rows):
         yield Stopped(t, q, w, ended, hold[k], left[k])
 

@@ -55,11 +55,12 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=30)
     parser.add_argument("--arms", nargs="*", default=[""], help="only arms with one of these words in their name")
     args = parser.parse_args()
+    asked = {k: v for k, v in arms().items() if any(word in k for word in args.arms)}
+    if args.states < 1 or not asked:
+        parser.error(f"{args.states} states of {len(asked)} arms; expected at least one of each: arms are {', '.join(arms())}")
     found, spent, gained, cost = [], [], [], np.zeros(2)
     nearer = tubes.nearer
-    for name, (model, top) in arms().items():
-        if not any(word in name for word in args.arms):
-            continue
+    for model, top in asked.values():
         rated, n, rng = model.domain.payload[1], model.n, np.random.default_rng(7)
         every = [StopBounds.of(model, (lo * rated, hi * rated), fast=True) for lo, hi in RANGES.values()]
         for k in range(args.states):

@@ -120,6 +120,8 @@ def main() -> None:
     if args.ask:
         ask(args.ask[0], float(args.ask[1]), args.states)
         return
+    if args.states < 1:
+        parser.error(f"{args.states} states; expected at least one: what is counted is told of one bound")
     if not shutil.which("gcc") or not shutil.which("gcov"):
         parser.error("no gcc and gcov here; expected both, they count")
     print(f"of one STOP 0 bound, {args.states} measured states: calls; millions of operations on four numbers at once, at least")

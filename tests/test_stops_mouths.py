@@ -36,10 +36,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
 
 ASKED: tuple[tuple[Category, str], ...] = (("0", "stop"), ("1 guaranteed", "stop1_guaranteed"), ("1", "stop1_nominal"))
-SAME, ALIKE = (
-    1e-9,
-    0.03,
-)  # of a bound: what a box of one reading is wider by; what second slopes of all payloads are for some of them
+SAME = 1e-9  # of a bound, by which a box of one reading is wider
+ALIKE = 0.03  # of a bound, for second slopes of all payloads in place of those of some
 PAYLOADS = ((0.0, 2.0), (1.0, 1.0), (1.96, 2.0))
 
 
