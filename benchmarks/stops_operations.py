@@ -94,22 +94,28 @@ def ask(name: str, least: float, states: int) -> None:
         core.bound(rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top)
 
 
-def counted(folder: Path, library: Path, name: str, least: float, states: int) -> dict[str, float]:
-    """Calls of every function of the core, per bound."""
+def calls_in(folder: Path, library: Path, command: list[str]) -> dict[str, int]:
+    """Calls of every function of the core's stops while ``command`` runs."""
     for old in folder.glob("*.gcda"):
         old.unlink()
-    call = [sys.executable, __file__, "--ask", name, str(least), "--states", str(states)]
-    subprocess.run(call, check=True, env={**os.environ, "STOPSET_CORE": str(library)})
+    subprocess.run(command, check=True, env={**os.environ, "STOPSET_CORE": str(library)})
     files = sorted(str(x) for x in folder.glob("stops_*.gcda"))
     told = subprocess.run(
         ["gcov", "--json-format", "--stdout", *files], check=True, capture_output=True, text=True, cwd=folder
     ).stdout
-    calls: dict[str, float] = {}
-    for line in told.splitlines():
-        for file in json.loads(line)["files"] if line.strip() else ():
-            for f in file["functions"]:
-                calls[f"{Path(file['file']).name} {f['name']}"] = f["execution_count"] / states
-    return calls
+    return {
+        f"{Path(file['file']).name} {f['name']}": f["execution_count"]
+        for line in told.splitlines()
+        if line.strip()
+        for file in json.loads(line)["files"]
+        for f in file["functions"]
+    }
+
+
+def counted(folder: Path, library: Path, name: str, least: float, states: int) -> dict[str, float]:
+    """Calls of every function of the core, per bound."""
+    command = [sys.executable, __file__, "--ask", name, str(least), "--states", str(states)]
+    return {f: calls / states for f, calls in calls_in(folder, library, command).items()}
 
 
 def main() -> None:
