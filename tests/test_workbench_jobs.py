@@ -150,10 +150,12 @@ def test_a_quarter_of_an_hour_is_drawn_without_losing_a_spike() -> None:
     near = scene.window(493.0, 495.0)
     assert len(near["joints"][2]["t"]) > 400 and max(near["joints"][2]["y"]) == 9.0, "every sample of a short stretch"
     assert near["t"][0] >= 493.0 and near["t"][-1] <= 495.01 and near["whole"] > 899.0
-    begin = time.process_time()
+    spent = []
     for k in range(20):
+        begin = time.process_time()
         scene.window(float(k), float(k) + 60.0)
-    assert time.process_time() - begin < 1.0
+        spent.append(time.process_time() - begin)
+    assert np.median(spent) < 0.05, "dragging the window stays smooth"
 
 
 def test_diagnose_add_and_the_curve_falls_in_a_browser(altered: Path, tmp_path: Path, browser: Any) -> None:
