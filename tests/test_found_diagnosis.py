@@ -12,11 +12,13 @@ import pytest
 
 from stopset.artifact import Model
 from stopset.cli.main import main
+from stopset.effects import get
 from stopset.errors import RecordingError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import diagnose, diagnose_model
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.offline.inspect import inspect_recordings
 from stopset.offline.inspect.findings_torque import torque_shares
@@ -206,6 +208,40 @@ def test_what_imitates_a_rotor_at_one_joint_is_none_at_others(shared_data) -> No
     case, robot = found_pairs.weeks_later(found_pairs.drawn(102147, 6), 102147), str(shared_data("ur10e/robot.urdf"))
     answer = found_pairs.asked(robot, case, 102147)
     assert answer["named"] == [] and case.trouble.speed < 0.1, answer
+
+
+def test_a_joint_s_zero_is_no_cable_of_an_arm_that_creeps() -> None:
+    """The encoders' noise in its accelerations was a wrist's rotor of a quarter of its inertia, and spoke for other laws of the shoulder."""
+    case = found_pairs.weeks_later(found_pairs.drawn(102140, 6), 102140)
+    answer = found_pairs.asked("lwa4p", case, 102140)
+    assert answer["named"] == ["encoder_offset:arm_2_joint"] and case.trouble.speed < 0.1, answer
+    assert any("the joints accelerate so little" in note for note in answer["notes"])
+
+
+@pytest.mark.shared
+def test_a_cable_over_a_small_part_of_its_range_is_no_spring(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """Its stiffness doubles over 0.43 rad, but far from where it rests that was 3 % of its torque, and a spring's form may be 2 % off."""
+    case, robot = found_pairs.weeks_later(found_pairs.drawn(102133, 6), 102133), str(shared_data("ur10e/robot.urdf"))
+    assert found_pairs.asked(robot, case, 102133)["named"] == ["cable:wrist_3_joint"]
+
+
+@pytest.mark.parametrize(("speed", "smoothed", "drowned"), [(0.8, 0.012, set()), (0.03, 0.036, {0, 1, 2})])
+def test_an_arm_that_creeps_is_smoothed_more(speed: float, smoothed: float, drowned: set[int]) -> None:
+    """Of its accelerations most is the encoders' noise: what is left of that tells no inertia."""
+    scenario = prepare(robot_from_text(ARM), ["none"], 5, "short", cad="exact")
+    engine = Engine.build(scenario.robot, recorded(scenario, (8.0,) * 3, 100.0, Trouble(speed=speed), 5))
+    assert engine.data.kernel.sigma == pytest.approx(smoothed)
+    assert {j for j in range(3) if engine.drowned(get("rotor_inertia"), (j,))} == drowned
+    assert not any(engine.drowned(get("spring"), (j,)) for j in range(3))
+
+
+def test_the_noise_that_an_acceleration_is_told_to_hold_is_what_it_holds() -> None:
+    """A joint that does nothing but shake by its encoder's noise, which the other two moves do not hide."""
+    scenario = prepare(robot_from_text(ARM), ["none"], 5, "short", cad="exact")
+    engine = Engine.build(scenario.robot, recorded(scenario, (8.0,) * 3, 100.0, Trouble(), 5))
+    d, rows, rng = engine.data, engine.rows[1], np.random.default_rng(1)
+    noise = np.convolve(rng.normal(0.0, 1e-4, len(d.q_fine)), d.kernel.h2, "same")[d.centre]
+    assert np.sum(rows.column(noise[:, None]) ** 2) == pytest.approx(rows.accelerated(d, 1e-4), rel=0.1)
 
 
 @pytest.mark.slow

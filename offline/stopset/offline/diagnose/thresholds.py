@@ -31,6 +31,8 @@ SWINGS = (4.0, 70.0)  # [rad/s]
 SWING_JOINTS = 3
 BEGINNINGS = 12  # rows
 AT_REST = 0.04  # [rad/s]
+ACCELERATED = 0.01  # of the square of what the joints accelerate at
+DROWNED = 0.1  # of an acceleration's whitened sum of squares
 FEWEST_ROWS = 50
 RIPPLE_SEPARATION = 4.0  # [cycles per turn]
 
@@ -185,6 +187,13 @@ SETTLED = (
               "chosen"),
     Threshold("AT_REST", "speed below which a trial begins with a gear that carries gravity alone", "rad/s",
               "chosen: twice the speed below which rows say nothing"),
+    Threshold("ACCELERATED",
+              "share that the position's noise may have in the square of what joints accelerate at (their median), before all is smoothed more", "%",
+              "an inertia is short by that share: here less than any model knows. Motions at the usual speed: 0.04 to 0.4 %; at 0.15 of the "
+              "limits 3 to 4 %, at 0.06 28 to 100 %"),
+    Threshold("DROWNED", "share of the position's noise in a joint's acceleration from which on no inertia is told from it", "%",
+              "it makes an inertia wrong by about that share, and a data sheet's is off by 10 to 30 %. Motions at the usual speed: below 1 %; at "
+              "0.06 of the limits 27 to 100 % before more is smoothed: a rotor was named there that would leave its motor a quarter of its inertia"),
     Threshold("FEWEST_ROWS", "moving rows of a joint from which on it is asked at all", "",
               "chosen"),
     Threshold("RIPPLE_SEPARATION", "ripples of one joint that count as different", "cycles per turn",

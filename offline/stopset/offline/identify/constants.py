@@ -162,7 +162,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.SETTLED)),
-    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP ONE_DIRECTION GOLDEN"),
+    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP WIDER ONE_DIRECTION GOLDEN"),
     ("diagnosis sampling", sampling, "FOLLOW"),
     ("diagnosis poses", rows, "DEPENDENT"),
     ("diagnosis noise", row_noise, "ORDER"),

@@ -51,6 +51,7 @@ class Engine:
     scales: tuple[float, ...]  # how far links and rotors may be off, for evidence to choose from
     rotor_scales: tuple[float, ...]
     _level: dict[int, float] = field(default_factory=dict)
+    _drowned: dict[int, bool] = field(default_factory=dict)
     _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
     _made: dict[Any, tuple[Candidate, dict[int, Array]] | None] = field(default_factory=dict)
 
@@ -184,6 +185,7 @@ class Engine:
         self._made.clear()
         self._columns.clear()
         self._level.pop(joint, None)
+        self._drowned.pop(joint, None)
 
     def level(self, joint: int) -> float:
         """Typical friction torque of a joint [N m], the measure of what is large."""
@@ -192,6 +194,22 @@ class Engine:
             speed = float(np.sqrt(np.mean(moving**2))) if len(moving) else 0.0
             self._level[joint] = float(self.friction[joint, 0] + self.friction[joint, 1] * speed) or 1.0
         return self._level[joint]
+
+    def drowned(self, effect: Effect, joints: tuple[int, ...]) -> bool:
+        """Whether the acceleration that a law is of holds too much of the position's noise.
+
+        That noise is in the recorded torque's error, too: through the inertia that is known, and through a controller that answers it.  So
+        rows agree on an inertia that is short by as large a share as the noise has in the acceleration, or on any other, with
+        evidence that grows with their number.
+        """
+        if effect.needs != ("ddq",):
+            return False
+        j = joints[0]
+        if j not in self._drowned:
+            rows, d = self.rows[j], self.data
+            moved = float(np.sum(rows.column(d.ddq[:, j, None])[: len(rows.take)] ** 2))
+            self._drowned[j] = rows.accelerated(d, d.position_noise[j]) > limit.DROWNED * moved
+        return self._drowned[j]
 
     def loaded(self, joints: Sequence[int]) -> bool:
         """Whether gravity loads one of ``joints`` in these motions."""

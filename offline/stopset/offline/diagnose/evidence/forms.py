@@ -23,13 +23,16 @@ from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.types import Array, Index
 
 
-def with_forms(now: Hypothesis, claims: Sequence[Candidate], theta: Array) -> Hypothesis:
-    """``now`` with the random effects of its ``claims``' forms; ``theta``: coefficients of `Hypothesis.nuisance`."""
+def with_forms(now: Hypothesis, claims: Sequence[Candidate], theta: Array, *, varying: bool = False) -> Hypothesis:
+    """``now`` with the random effects of its ``claims``' forms; ``theta``: coefficients of `Hypothesis.nuisance`.
+
+    ``varying``: of a law with a constant beside other terms, shares of what its torque varies by (`has_no_zero`).
+    """
     place = {column: k for k, column in enumerate(now.nuisance.tolist())}
     view = now.view()
     grams, size, forms = list(view.engine.grams), view.engine.size, list(view.forms)
     for c in claims:
-        parts = form_columns(now.engine, c, theta[[place[k] for k in c.cols.tolist()]])
+        parts = form_columns(now.engine, c, theta[[place[k] for k in c.cols.tolist()]], varying=varying)
         count = sum(w.shape[1] for w in parts.values())
         at = size
         for i, w in parts.items():
@@ -40,11 +43,26 @@ def with_forms(now: Hypothesis, claims: Sequence[Candidate], theta: Array) -> Hy
     return replace(view, engine=replace(view.engine, grams=grams, size=size), forms=tuple(forms))
 
 
-def form_columns(engine: Engine, c: Candidate, value: Array) -> dict[int, Array]:
-    """Whitened columns (K, k) by joint: the claim's torque times curves over what it may depend on."""
+def has_no_zero(engine: Engine, c: Candidate) -> bool:
+    """Whether a law has a constant beside other terms: where its torque is zero is as free then as where its joint's position is.
+
+    Of a spring that is recorded far from its rest, over a small part of its range, next to all is constant: a few percent of that make
+    a straight line of any curve.
+    """
+    return any(
+        moving.shape[1] > 1 and bool(np.any(np.ptp(moving, axis=0) == 0.0))
+        for moving, _ in engine.columns(c.effect, c.joints, c.shapes).values()
+    )
+
+
+def form_columns(engine: Engine, c: Candidate, value: Array, *, varying: bool = False) -> dict[int, Array]:
+    """Whitened columns (K, k) by joint: the claim's torque times curves over what it may depend on; ``varying``: as in `with_forms`."""
     out = {}
     for i, (moving, still) in engine.columns(c.effect, c.joints, c.shapes).items():
         torque, at_rest = moving @ value, still @ value
+        if varying and has_no_zero(engine, c):
+            level = float(np.mean(engine.rows[i].plain(torque)))
+            torque, at_rest = torque - level, at_rest - level
         shares = np.ones((len(torque), 1))  # what a law leaves at other joints, it leaves there as a whole
         if not c.joints or i in c.joints:
             shares = np.column_stack([shares, *(_curves(x, engine.rows[i].take) for x in _depends(engine, i, torque))])

@@ -76,7 +76,10 @@ def blind_spots(
     ]
     shown = _shown(now, hyper, [c for c in (*candidates, *engine.add_all(more)) if c.key in asked])
     for name, place in asked:
-        why = _hidden(engine, place, shown.get((name, place)), frozenset(catalogue()[name].needs))
+        effect = catalogue()[name]
+        why = (
+            NOISE if engine.drowned(effect, place) else _hidden(engine, place, shown.get((name, place)), frozenset(effect.needs))
+        )
         if why:
             found.setdefault((name, why), []).append("+".join(engine.data.joints[j] for j in place))
     return tuple(

@@ -80,6 +80,13 @@ class Whitening:
         lib.stopset_whiten_adjoint(self.struct(len(r)), len(r), view(given(r)), flags(self.start), view(out))
         return out
 
+    def power(self, covariances: Array) -> Array:
+        """(P,) variance that a noise of this autocovariance (ORDER + 1,) is left with in rows of each kind, far from a run's beginning."""
+        lag = np.abs(np.subtract.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)))
+        filters = np.column_stack([np.ones(len(self.sd)), -self.a[:, -1]]) / self.sd[:, -1:]
+        out: Array = np.einsum("pi,ij,pj->p", filters, covariances[lag], filters)
+        return out
+
     def struct(self, rows: int) -> Any:
         """For the core, which reads as many rows."""
         kinds, order = len(self.sd), self.sd.shape[1] - 1

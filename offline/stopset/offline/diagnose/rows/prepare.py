@@ -15,7 +15,7 @@ from stopset.core.library import check, ffi, given, integers, lib, view
 from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.rows.sampling import in_words, period_of, sampled
+from stopset.offline.diagnose.rows.sampling import Sampled, in_words, period_of, sampled
 from stopset.recording import Recording, Recordings, SuiteKey
 from stopset.types import Array, Index, Mask
 
@@ -23,6 +23,7 @@ KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 10
 LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is placed within a sample or two
 ONE_DIRECTION = 1.0 - 1e-6  # of a smoothed direction that never changes, but for rounding
 ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
+WIDER = (1.5, 2.0, 3.0)  # times the usual kernel, for arms that creep: -3 dB at 3.7 Hz, beyond which they do hardly anything
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit interval evenly
 
 
@@ -164,9 +165,17 @@ def prepare(recordings: Recordings) -> Prepared:
     kernel, light = Kernel.gaussian(dt, max(KERNEL, 1.2 * dt)), Kernel.gaussian(dt, max(LIGHT, dt))
     step = max(1, round(ROW_STEP / dt))
     grids = [(r, sampled(r, dt, _white)) for r in moving]
-    grids = [(r, g) for r, g in grids if len(g.t) > 2 * kernel.half + step]
+    grids = _long_enough(grids, kernel, step)
     if not grids:
         raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
+    noises = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids]
+    position_noise = np.median([x for _, _, x in noises], axis=0)
+    wide = _widened(kernel, [g.q for _, g in grids], position_noise)
+    sparse = round(step * wide.sigma / kernel.sigma)
+    smoothed: tuple[str, ...] = ()
+    if wide is not kernel and len(_long_enough(grids, wide, sparse)) == len(grids):
+        smoothed = (_more(kernel, wide),)
+        kernel, step = wide, sparse
     session = Session.of(recordings)
     fine_parts: dict[str, list[Array]] = {k: [] for k in ("raw", "q", "dq", "tau", "t", "warm")}
     temps: list[Array] = []
@@ -196,7 +205,6 @@ def prepare(recordings: Recordings) -> Prepared:
     start[[x.fine.start for x in trials]] = True
     q_still, tau_still, spread_still = _standstill(recordings)
     phases = list(dict.fromkeys(r.phase for r, _ in grids))
-    noises = [(r.phase, _noise(g.tau, r.tau), _noise(g.q, r.q)) for r, g in grids]
     noise = [[x for p, x, _ in noises if p == phase] or [x for _, x, _ in noises] for phase in phases]
     which = np.repeat(np.arange(len(trials)), [x.rows.stop - x.rows.start for x in trials])
     return Prepared(
@@ -207,9 +215,51 @@ def prepare(recordings: Recordings) -> Prepared:
         trial=which, centre=centre,
         q_fine=fine["q"], dq_fine=fine["dq"], direction_fine=np.sign(fine["dq"]), tau_fine=fine["tau"], temp_fine=temp_fine,
         warm_fine=fine["warm"], t_fine=fine["t"], start_fine=start, q_still=q_still, tau_still=tau_still, spread_still=spread_still,
-        torque_noise=np.array([np.median(x, axis=0) for x in noise]), position_noise=np.median([x for _, _, x in noises], axis=0),
-        phase=np.array([phases.index(r.phase) for r, _ in grids])[which], sampling=in_words([g for _, g in grids]),
+        torque_noise=np.array([np.median(x, axis=0) for x in noise]), position_noise=position_noise,
+        phase=np.array([phases.index(r.phase) for r, _ in grids])[which], sampling=(*in_words([g for _, g in grids]), *smoothed),
     )  # fmt: skip
+
+
+def _long_enough(grids: Sequence[tuple[Recording, Sampled]], kernel: Kernel, step: int) -> list[tuple[Recording, Sampled]]:
+    """The trials that have a row."""
+    return [(r, g) for r, g in grids if len(g.t) > 2 * kernel.half + step]
+
+
+def _widened(kernel: Kernel, positions: Sequence[Array], noise: Array) -> Kernel:
+    """The narrowest kernel of `WIDER` through which ``noise`` (n,) [rad] of the ``positions`` is next to nothing of what joints accelerate at.
+
+    It stands in the acceleration and, times the inertia, in what the rows leave: of an arm that creeps it is most of both, and
+    evidence that the two agree grows with the rows, for an inertia that is short by the share that it has, for whatever else holds
+    inertia (a scale of the torque, a lag, a load), and against what does not.  An arm that creeps moves slowly enough for more smoothing.
+    """
+    wide = kernel
+    for factor in WIDER:
+        if _share_of_noise(wide, positions, noise) <= limit.ACCELERATED:
+            break
+        wide = Kernel.gaussian(kernel.dt, factor * kernel.sigma)
+    return wide
+
+
+def _more(usual: Kernel, wide: Kernel) -> str:
+    """That more was smoothed, and what is lost by it."""
+    passes = np.sqrt(np.log(2.0)) / (2 * np.pi * wide.sigma)  # -3 dB
+    return (
+        f"the joints accelerate so little that the positions' noise is more than {limit.ACCELERATED:.0%} of it: all was smoothed over "
+        f"{1e3 * wide.sigma:.0f} ms instead of {1e3 * usual.sigma:.0f}, and of what is faster than {passes:.1f} Hz little is told"
+    )
+
+
+def _share_of_noise(kernel: Kernel, positions: Sequence[Array], noise: Array) -> float:
+    """Share of ``noise`` (n,) [rad] in the mean square of the acceleration, the median over the joints that move."""
+    square, count = np.zeros(len(noise)), np.zeros(len(noise))
+    for q in positions:
+        at = np.arange(kernel.half, len(q) - kernel.half)
+        moving = np.abs(_at(q, at, kernel.h1)) > limit.CREEP
+        square += np.sum(_at(q, at, kernel.h2) ** 2 * moving, axis=0)
+        count += moving.sum(axis=0)
+    asked = (count > limit.FEWEST_ROWS) & (square > 0.0)
+    share = noise[asked] ** 2 * float(np.sum(kernel.h2**2)) * count[asked] / square[asked]
+    return float(np.median(share)) if len(share) else 0.0
 
 
 def _before_brake(r: Recording) -> Recording | None:

@@ -41,6 +41,11 @@ class JointRows:
         rest = np.zeros((self.still, w.shape[1])) if still is None else still.reshape(self.still, -1)
         return np.concatenate([w, rest / self.still_sd])
 
+    def accelerated(self, data: Prepared, noise: float) -> float:
+        """Sum of squares that white ``noise`` of the position [rad] leaves in the whitened acceleration."""
+        power = self.whiten.power(autocovariance(data.kernel, data.step, 0.0, noise))
+        return float(power[self.whiten.kind].sum())
+
     def plain(self, moving: Array) -> Array:
         """The rows' unwhitened values."""
         return moving[self.take]

@@ -9,7 +9,7 @@ import numpy as np
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
-from stopset.offline.diagnose.evidence.forms import with_forms
+from stopset.offline.diagnose.evidence.forms import has_no_zero, with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.uncertainty import deviations
 from stopset.offline.diagnose.search.refine import sharpened
@@ -84,6 +84,8 @@ def refitted(now: Hypothesis, s: Scored, hyper: Hyper) -> Settled:
     loose = with_forms(with_it, with_it.active[-1:], p.theta)
     evidence = with_it.evidence(h)
     taken_up = max(loose.evidence(loose.fit(h)[0]) - evidence, 0.0)
+    if has_no_zero(now.engine, with_it.active[-1]):
+        loose = with_forms(with_it, with_it.active[-1:], p.theta, varying=True)
     off, q = loose.refit(replace(h, forms=(limit.SAME_LAW,)))
     as_it_is = replace(off, forms=())
     mended = with_it.evidence(as_it_is) + with_it.view().project(as_it_is)[0].rss - q.rss

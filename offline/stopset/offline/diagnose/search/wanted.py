@@ -33,6 +33,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
                 places = [(a, b) for a, b in places if b == a + 1]
         if effect.loaded:
             places = [p for p in places if engine.loaded(p)]
+        places = [p for p in places if not engine.drowned(effect, p)]
         grids = [s.grid for s in effect.shapes]
         for place in places:
             if effect.enters == "input_delay":
