@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stopset.offline.nominal import qp
 from stopset.offline.nominal.qp import solve_qp
 
 
@@ -48,3 +49,10 @@ def test_limits_far_away_do_not_disturb() -> None:
     H, b = np.diag([1e10, 1.0]), np.array([1e10, -1.0])
     x, _ = solve_qp(H, b, np.eye(2), np.array([0.0, 0.0]), np.array([1e4, 1e9]))
     np.testing.assert_allclose(x, [1.0, 0.0], atol=1e-9)
+
+
+def test_a_side_that_is_open_holds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an arm that creeps, whose rows are badly scaled, the solver said that the open side of a range was met: all came out as no number."""
+    monkeypatch.setattr(qp, "_active", lambda *_: {0: -1.0})
+    x, active = solve_qp(np.eye(2), np.array([-1.0, 2.0]), np.eye(2), np.zeros(2), np.array([np.inf, 5.0]))
+    assert x == pytest.approx([0.0, 2.0]) and active.tolist() == [True, False]

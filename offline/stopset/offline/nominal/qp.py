@@ -29,7 +29,9 @@ def solve_qp(H: Array, b: Array, A: Array, lower: Array, upper: Array) -> tuple[
     # the solver works at a solution of size one; a limit a million times beyond it is none, and spoils its scaling
     f = float(np.abs(x).max()) or 1.0
     l1, h1 = np.where(lo < -1e6 * f, -np.inf, lo / f), np.where(hi > 1e6 * f, np.inf, hi / f)
-    at = {k: (float(lo[k] if side > 0 else hi[k]), side) for k, side in _active(Hs, bs / f, As, l1, h1).items()}
+    ends = {k: (float(lo[k] if side > 0 else hi[k]), side) for k, side in _active(Hs, bs / f, As, l1, h1).items()}
+    # where rows are badly scaled the solver's last digits may end on a side that is open
+    at = {k: x for k, x in ends.items() if np.isfinite(x[0])}
     for _ in range(3 * len(lo) + 10):
         x, multiplier = _equality(Hs, bs, As, at)
         bad = _violated(As, lo, hi, x)
