@@ -67,8 +67,29 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
                 deviation[t.symbol] = float(np.hypot(own, off * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
             symbol = c.effect.terms[0].symbol
-            deviation[symbol] = float(np.hypot(deviation[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
+            at = [place[int(k)] for k in engine.stamps]
+            deviation[symbol] = float(np.hypot(deviation[symbol], _stamps_error(now, theta[at], sd[at])))
     return out
+
+
+def _stamps_error(now: Hypothesis, late: Array, std: Array) -> float:
+    """[s] by how much a joint's lag may be off for what stamps mean; ``late, std`` (n,): how late each joint's are, by the fit.
+
+    One logger reads all joints at once, so what a stamp means is the same at all: it is off by what the joints that have no lag of their
+    own say of it, and by their error, or where they say nothing by what is believed beforehand.
+    """
+    engine = now.engine
+    believed = engine.prior_sd[engine.stamps]
+    own = [c.joints[0] for c in now.active if c.effect.enters == "input_delay"]
+    weight = np.maximum(1.0 / std**2 - 1.0 / believed**2, 0.0)  # what the rows say, beyond what was believed
+    weight[own] = 0.0
+    usual = float(np.median(believed))
+    if not (weight > 0).any():
+        return usual
+    said = late / np.where(weight > 0, std**2 * weight, 1.0)
+    mean = float(weight @ said) / float(weight.sum())
+    scatter = float(weight @ (said - mean) ** 2) / max(int((weight > 0).sum()) - 1, 1)
+    return min(usual, float(np.hypot(mean, np.sqrt(max(scatter, 1.0) / weight.sum()))))
 
 
 def drives_scale(now: Hypothesis, theta: Array) -> float:
