@@ -67,8 +67,8 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
                 deviation[t.symbol] = float(np.hypot(own, off * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
             symbol = c.effect.terms[0].symbol
-            at = [place[int(k)] for k in engine.stamps]
-            deviation[symbol] = float(np.hypot(deviation[symbol], _stamps_error(now, theta[at], sd[at])))
+            stamped = [place[int(k)] for k in engine.stamps]
+            deviation[symbol] = float(np.hypot(deviation[symbol], _stamps_error(now, theta[stamped], sd[stamped])))
     return out
 
 
