@@ -134,7 +134,8 @@ def in_time(
     """
     if cutoff:
         recordings = replace(recordings, trials=tuple(restored(body, recordings, cutoff)))
-    return in_step(recordings, -sum(float(x["value"]) for x in common_lags(taken_out)))
+    lags = common_lags(taken_out)
+    return in_step(recordings, -sum(float(x["value"]) for x in lags), sum(float(x["std"]) for x in lags))
 
 
 def common_lags(taken_out: Sequence[Mapping[str, Any]]) -> Lags:

@@ -169,7 +169,7 @@ SETTLED = (
               "chosen: a bound on the search"),
     Threshold("HANDFUL", "claims that are named; the rest is told in sum", "",
               "chosen: later claims are mostly what the imperfect laws of the first ones leave, one after another"),
-    Threshold("SHORTEST_LAG", "shortest lag", "ms",
+    Threshold("SHORTEST_LAG", "shortest lag; at least half a sample", "ms",
               "stamps half a sample apart look like a lag (1 to 3 ms on the two healthy sets looked at, with a score up to 1072): "
               "no effect"),
     Threshold("LAG_PRICE", "price of a lag, paid by contenders and claims alike", "", "half a millisecond found among 20"),

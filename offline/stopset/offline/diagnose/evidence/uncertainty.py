@@ -67,8 +67,29 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
                 deviation[t.symbol] = float(np.hypot(own, off * theta[place[k]]))
         if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
             symbol = c.effect.terms[0].symbol
-            deviation[symbol] = float(np.hypot(deviation[symbol], engine.prior_sd[engine.stamps[c.joints[0]]]))
+            stamped = [place[int(k)] for k in engine.stamps]
+            deviation[symbol] = _lag_deviation(now, deviation[symbol], theta[stamped], sd[stamped])
     return out
+
+
+def _lag_deviation(now: Hypothesis, own: float, late: Array, std: Array) -> float:
+    """[s] error of a joint's lag whose fit has the error ``own``; ``late, std`` (n,): how late each joint's stamps are, by the fit.
+
+    One logger reads all joints at once, so what a stamp means is the same at all: those that have no lag of their own tell it.  By what they
+    are late, and by the error of that, the lag may be off; where they say nothing, by what is believed beforehand.
+    """
+    engine = now.engine
+    believed = engine.prior_sd[engine.stamps]
+    most = float(np.hypot(own, np.median(believed)))
+    weight = np.maximum(1.0 / std**2 - 1.0 / believed**2, 0.0)  # what the rows say, beyond what was believed
+    weight[[c.joints[0] for c in now.active if c.effect.enters == "input_delay"]] = 0.0
+    if not (weight > 0).any():
+        return most
+    said = late / np.where(weight > 0, std**2 * weight, 1.0)
+    mean = float(weight @ said) / float(weight.sum())
+    scatter = float(weight @ (said - mean) ** 2) / max(int((weight > 0).sum()) - 1, 1)
+    # what all are late by is no error that a square root makes small: where the lag counts, it must be one beyond that
+    return min(most, float(np.hypot(own, np.sqrt(max(scatter, 1.0) / weight.sum()))) + abs(mean) / limit.SURE)
 
 
 def drives_scale(now: Hypothesis, theta: Array) -> float:

@@ -104,15 +104,17 @@ def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampl
     )
 
 
-def in_step(recordings: Recordings, lag: float) -> Recordings:
-    """The recordings with every torque taken ``lag`` [s] after its stamp, by whole samples.
+def in_step(recordings: Recordings, lag: float, std: float = 0.0) -> Recordings:
+    """The recordings with every torque taken ``lag`` [s] after its stamp, by whole samples; ``std`` [s]: error of the lag.
 
-    What is left of the lag is within what stamps mean; between samples the torque would lose some of its noise.
+    What is left of the lag is within what stamps mean; between samples the torque would lose some of its noise.  So is a lag that may be
+    less than half a sample: taken for a whole one it would put into the record what every joint's delay then has to take out.
     """
+    least = max(abs(lag) - limit.SURE * std, 0.0)
 
     def earlier(r: Recording) -> Recording:
         dt = period_of([r])
-        late = dt * round(lag / dt)
+        late = dt * round(lag / dt) if least > dt / 2 else 0.0
         inside = np.flatnonzero((r.t + late > r.t[0] - dt / 2) & (r.t + late < r.t[-1] + dt / 2))
         if late == 0.0 or r.phase == "static" or len(inside) < 2:
             return r

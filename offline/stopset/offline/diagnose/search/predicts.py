@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Candidate
+from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.types import Array
@@ -78,6 +78,17 @@ def judged(
     whole = replace(whole, why=too_little(whole, candidate, earlier, left))
     hidden = whole.why and candidate.effect.role == "friction"
     return inner if hidden and not too_little(inner, candidate, earlier, left) else whole
+
+
+def outdone(s: Scored, asked: Sequence[Scored], refused: Set[EffectKey]) -> bool:
+    """Whether what a free base takes up at one joint is said far better by a law that was ``refused`` there, of all that were ``asked``.
+
+    Such a claim need not show in motions that were not fitted, the other law must: that one does not show there is no reason to name the
+    other, which explains less of the same torque.
+    """
+    c = s.candidate
+    same = (x for x in asked if x.candidate.key in refused and x.candidate.joints == c.joints)
+    return bool(c.joints and c.effect.absorbed) and any(x.score > s.score + limit.THRESHOLD for x in same)
 
 
 def _lowered(x: Step) -> tuple[int, float]:

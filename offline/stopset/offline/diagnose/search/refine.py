@@ -112,7 +112,8 @@ def refine(now: Hypothesis, scored: Scored, hyper: Hyper) -> Scored:
 
     if "d0" in shapes:
         shapes = {"d0": _shifted(now, scored, hyper)}
-        if abs(shapes["d0"]) < limit.SHORTEST_LAG:
+        stamps = float(now.engine.prior_sd[now.engine.stamps[joints[0]]])  # within these a drive holds or averages its torque
+        if abs(shapes["d0"]) < max(limit.SHORTEST_LAG, stamps):
             return replace(scored, score=0.0)
     elif effect.shapes:
         best_value = value(shapes)
