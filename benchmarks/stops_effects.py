@@ -194,6 +194,7 @@ class Laws:
         """Dry friction (N, n) [N m] and torque on the arm (N, n) at a state; memories go on by one piece."""
         b, robot = self.batch, self.model.robot
         dry, push = np.zeros_like(q), np.zeros_like(q)
+        rubs = np.zeros((2, *q.shape))  # friction against the motion, and against the other direction
         for pi in np.unique(b.pi, axis=0):
             at = np.all(b.pi == pi, axis=(1, 2))
             body = robot.with_parameters(pi)
@@ -206,12 +207,17 @@ class Laws:
                     s = replace(s, load=gear[:, i])
                 direction = np.where(dq[at][:, i] == 0.0, 1.0, np.sign(dq[at][:, i]))
                 ahead, back = (self._torque(effect, s, w, mine) for w in (direction, -direction))
-                odd, even = 0.5 * direction * (ahead - back), 0.5 * (ahead + back)
-                drift = b.drift[at][:, i] if effect.role == "friction" else 1.0
-                dry[at, i] += drift * odd
-                push[at, i] -= drift * even
+                if effect.role == "friction":
+                    rubs[0, at, i] += b.drift[at][:, i] * direction * ahead
+                    rubs[1, at, i] -= b.drift[at][:, i] * direction * back
+                else:
+                    dry[at, i] += 0.5 * direction * (ahead - back)
+                    push[at, i] -= 0.5 * (ahead + back)
                 for x, rate in zip(states, effect.rates(replace(s, given_direction=direction), mine), strict=True):
                     x[at] += PIECE * rate
+        rubs = np.maximum(rubs, 0.0)  # in no direction does the friction of a joint as a whole drive it
+        dry += 0.5 * (rubs[0] + rubs[1])
+        push -= 0.5 * np.where(dq == 0.0, 1.0, np.sign(dq)) * (rubs[0] - rubs[1])
         return np.maximum(dry, 0.0), push + np.where(dry < 0.0, -dry * np.sign(dq), 0.0) * self._drives()
 
     def _drives(self) -> float:

@@ -469,3 +469,61 @@ def test_a_motion_that_gets_faster_is_stopped_from_where_and_as_fast_as_it_then_
     moved = path.p(at, 0) - path.p(at[:1], 0)
     assert np.all(moved.max(axis=0) <= told.bound.forward + 1e-9) and np.all(-moved.min(axis=0) <= told.bound.back + 1e-9)
     assert np.all(np.abs(path.p(np.array([s]), 1)[0] * quick) <= told.bound.speed + 1e-9)
+
+
+LOWERED = np.zeros((2, 6))
+LOWERED[:, 1] = 0.6, 2.5  # the second joint, down past where gravity asks most of it
+
+
+def led_to_rest(bounds: StopBounds, s: float, rate: float, late: float, step: float = 2e-4) -> float:
+    """[s] from the request until an arm led along `LOWERED` rests, its ramp begun after ``late`` [s], as hard as its drive then surely can."""
+    assert bounds.setting is not None
+    p, path, time = bounds.setting.plant, Path.through(LOWERED), late
+    along, none = path.p(np.array([s]), 1)[0], np.zeros(6)
+    rubs = p.coulomb_hi + p.viscous_hi * np.abs(along) * rate + np.maximum(np.abs(p.u_lo), np.abs(p.u_hi))
+    room, s = float((0.98 * bounds.model.robot.torque_limit - rubs)[1]), s + rate * late
+    while rate > 0.0 and time < 20.0:
+        q = path.p(np.array([min(s, path.length)]), 0)[0]
+        brakes = []
+        for pi in (p.pi - p.pi_half, p.pi + p.pi_half):
+            load = torque(p.chain, pi, q, none, none)
+            inert = torque(p.chain, pi, q, none, along) - load + (p.rotor + p.rotor_half) * along
+            brakes.append((room - abs(load[1])) / abs(inert[1]))
+        rate, s, time = rate - step * min(brakes), s + step * rate, time + step
+    return time
+
+
+def test_a_ramp_that_begins_where_drives_are_weaker_takes_no_longer_than_told() -> None:
+    """Who brakes early creeps where gravity asks most of the drive; who brakes late has passed that by, and rests sooner."""
+    bounds = replace(arm_of(joint_2=74.0), ramp=Ramp.stated(6, time=0.3, control=0.3))
+    told = path_stop(bounds, Path.through(LOWERED), 0.3, 0.6)
+    times = [led_to_rest(bounds, 0.3, 0.6, late) for late in (0.0, 0.1, 0.2, 0.3)]
+    assert times[0] > 1.04 * times[-1]  # else this asks nothing
+    assert told.bound.certified and told.time == told.bound.time.max() >= max(times)
+
+
+def test_the_time_of_a_path_stop_is_that_of_its_drives() -> None:
+    """Where drives can brake about as hard everywhere, that ramps may begin early adds next to nothing."""
+    bounds = replace(arm_of(joint_2=90.0), ramp=Ramp.stated(6, time=0.3, control=0.02))
+    for rate in np.linspace(0.3, 0.6, 12):
+        told, found = path_stop(bounds, Path.through(LOWERED), 0.3, rate).time, led_to_rest(bounds, 0.3, rate, 0.02)
+        assert 0.999 * found <= told <= 1.02 * found
+
+
+@pytest.mark.parametrize(("weak", "begin", "late"), [({"joint_2": 72.0}, 0.3, 0.6), ({"joint_3": 27.0}, 0.45, 0.4)])
+def test_where_an_early_ramp_is_not_surely_braked_there_is_no_time(weak: dict[str, float], begin: float, late: float) -> None:
+    """The drive that brakes, or another that has to hold its joint meanwhile, is strong enough only where the latest ramp begins."""
+    path, bounds = Path.through(LOWERED), arm_of(**weak)
+    with pytest.raises(NotCovered, match="cannot stop within"):
+        path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=late)), path, begin, 0.6)
+    assert path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=0.0)), path, begin + 0.6 * late, 0.6).bound.certified
+
+
+def test_where_an_effect_leaves_an_early_ramp_nothing_there_is_no_time() -> None:
+    """A spring that is slack where the latest ramp begins, and has all of the drive's torque where the stop is asked for."""
+    spring = Fitted("spring", MODEL.joints[1], {"k": 190.0, "c": 0.0}, {"k": 0.0, "c": 0.0})
+    bounds = arm_of(joint_2=200.0, model=replace(MODEL, effects=(*MODEL.effects, spring)))
+    path = Path.through(LOWERED - [0.0, 1.8, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(NotCovered, match="cannot stop within"):
+        path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=0.6)), path, 0.05, 0.6)
+    assert path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=0.0)), path, 0.41, 0.6).bound.certified

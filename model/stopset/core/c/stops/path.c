@@ -11,7 +11,7 @@
 
 #include "bound.h"
 
-enum { ROUGH = 20, GRID = 60, LONGEST = 4, DENSE = 4, EARLY = 60, MOST_STEPS = LONGEST * GRID, POSES = EARLY + MOST_STEPS * DENSE + 1 };
+enum { ROUGH = 20, GRID = 60, LONGEST = 4, DENSE = 4, EARLY = 60, BANDS = 120, MOST_STEPS = LONGEST * GRID, POSES = EARLY + MOST_STEPS * DENSE + 1 };
 static const double RESERVE = 0.02; /* share of the torque kept for what happens between the knots */
 static const double HAIR = 1e-12;   /* of evaluating a cubic, relative */
 static const double SHORT = 1e-7;   /* of the path that is left: no grid is for less */
@@ -214,6 +214,67 @@ static int shortest(const Task *t, double begin, double rate, StopsetPassed *pas
     return STOPSET_OK;
 }
 
+/* The hardest deceleration at x that any one of the arms can have, be its payload and its rotors known: no stop brakes harder. */
+static double hardest(const Task *t, const Lines *at, double x, const double room[SN]) {
+    double out = STOPS_INF;
+    for (int side = 0; side < SIDES; side++) {
+        double lo = -STOPS_INF, hi = STOPS_INF;
+        for (int i = 0; i < t->n; i++) cut(at->a[side][i], at->b[side][i] * x + at->c[side][i], room[i], &lo, &hi);
+        out = least(out, lo);
+    }
+    return out;
+}
+
+/* Rates of the stop that is over first, (GRID + 1,): from the first place and the slowest rate at which a ramp can begin, as hard as drives can brake at all. */
+static void soonest(const Task *t, const Lines *at, double step, double rate, const double room[SN], double x[GRID + 1]) {
+    double strong[SN];
+    for (int i = 0; i < t->n; i++) strong[i] = 2.0 * t->ramp->limit[i] - room[i]; /* friction helps to brake */
+    x[0] = rate * rate;
+    for (int k = 0; k < GRID; k++) {
+        const double u = least(hardest(t, at + k, x[k], strong), hardest(t, at + k + 1, x[k], strong));
+        x[k + 1] = most(least(x[k] + 2.0 * step * u, x[k]), 0.0);
+    }
+}
+
+/* The least deceleration that the torques surely allow at knots from to to and rates of which x is one of two; the less, the longer it takes. */
+static double surely(const Task *t, const Lines *at, int from, int to, const double x[2], const double room[SN]) {
+    double out = STOPS_INF;
+    for (int k = from; k <= to; k++)
+        for (int side = 0; side < 2; side++) { /* lines over x: the hardest one is hardest at an end */
+            const Allowed a = allowed(t, at + k, 0, x[side], 0.0, room);
+            out = least(out, a.lo <= a.hi ? -a.lo : -STOPS_INF);
+        }
+    return out;
+}
+
+/* [s] from the request until every stop is over, whenever its ramp begins and however fast the motion then is; infinite where drives cannot surely brake.
+ *
+ * Stops that brake as hard as drives allow do not cross in the plane of place and rate: at any rate each is between the stop that is over first and the one
+ * that begins last, at the highest rate (`f`). One that begins early may brake where drives have less torque, or creep there, and so take
+ * longer than that one though it ends before it: so each band of rates lasts as long as the weakest place between these two makes it. */
+static double longest(const Task *t, double first, double slowest, double begin, double control, const Profile *f) {
+    const double last = t->path->knots[t->path->pieces], end = least(begin + f->made * f->step, last), step = (end - first) / GRID;
+    const double quick = sqrt(f->x[0]);
+    double room[SN], x[GRID + 1], out = control, top = quick;
+    int from = 0, to = 0;
+    Lines at[GRID + 1];
+    for (int k = 0; k <= f->made; k++) top = most(top, sqrt(f->x[k]));
+    if (room_of(t, first, end, top, room) >= 0) return STOPS_INF;
+    for (int k = 0; k <= GRID; k++) lines_at(t, least(first + k * step, last), at + k);
+    soonest(t, at, step, slowest, room, x);
+    for (int band = 0; band < BANDS; band++) {
+        const double rate[2] = {top * (BANDS - band) / BANDS, top * (BANDS - band - 1) / BANDS}, ends[2] = {rate[0] * rate[0], rate[1] * rate[1]};
+        while (from < GRID && x[from + 1] >= ends[0]) from++;
+        int knot = f->made; /* the last at which the latest stop is as fast */
+        while (knot > 0 && f->x[knot - 1] < ends[1]) knot--;
+        to = (int)least((begin + knot * f->step - first) / step, GRID - 1) + 1;
+        const double u = surely(t, at, least(from, to), to, ends, room);
+        if (!(u > 0.0)) return STOPS_INF;
+        out += (rate[0] - rate[1]) / u;
+    }
+    return out;
+}
+
 /* A pose and its speeds; the joint whose speed is beyond the arm's. */
 static void pass(const Task *t, StopsetPassed *p, double s, const double *q, const double *speed) {
     const int64_t at = p->poses++ * t->n;
@@ -249,7 +310,8 @@ static int look(const Task *t, double s0, double asked, double begin, const Prof
     const int bounded = there(t, begin, least(end, t->path->knots[t->path->pieces]), p->rate, friction, top, &plant);
     for (int k = 0; k < f->made; k++) {
         const double u = (f->x[k + 1] - f->x[k]) / (2.0 * f->step);
-        p->time += 2.0 * f->step / (sqrt(f->x[k]) + sqrt(f->x[k + 1]));
+        /* the last step is as long as the drives' torque makes it, not as the grid is */
+        p->time += 2.0 * (least((k + 1) * f->step, f->length) - k * f->step) / (sqrt(f->x[k]) + sqrt(f->x[k + 1]));
         for (int part = 0; part < DENSE; part++) {
             const double ahead = f->step * part / DENSE, s = begin + k * f->step + ahead, sd = sqrt(most(f->x[k] + 2.0 * u * ahead, 0.0));
             place(t, s, q, first, second);
@@ -361,12 +423,13 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     const double s = request->s, rate = request->rate, pace = most(0.0, most(ramp->pace[0], ramp->pace[1]));
     Task t = {stops, ramp, path, stops->plant.arm.n, {0}, {0}, {{0}}};
     Profile f;
-    double after = 0.0, control = 0.0;
+    double after = 0.0, control = 0.0, soon = STOPS_INF; /* ramps begin between these */
     if (t.n < 1 || t.n > SN) return -STOPSET_TOO_MANY_JOINTS;
     for (int i = 0; i < t.n; i++) {
         t.off[i] = ramp->q_error[i] + path->noise[i];
         t.off_speed[i] = ramp->dq_error[i] + path->noise[t.n + i];
         control = most(control, ramp->control_hi[i]);
+        soon = least(soon, ramp->control_lo[i]);
         if (!(ramp->dq_error[i] <= ramp->band[i])) after = ramp->settle;
     }
     for (int k = 0; k < 10 * t.n; k++)
@@ -387,6 +450,10 @@ int stopset_path_stop(const StopsetStops *stops, const StopsetRamp *ramp, const 
     int code = shortest(&t, passed->begin, quick, passed, &f);
     if (!code) code = look(&t, s, rate, passed->begin, &f, passed);
     if (code) return code;
+    const double slower = least(0.0, least(ramp->pace[0], ramp->pace[1])), share = most(1.0 + slower * control, 0.0);
+    const double run = 1.0 + slower * soon > 0.0 ? soon * (1.0 + 0.5 * slower * soon) : -0.5 / slower;
+    passed->time = most(passed->time, longest(&t, s + rate * run, rate * share, passed->begin, control, &f));
+    if (!(passed->time < STOPS_INF)) return STOPSET_PATH_FAST;
     passed->length = passed->begin - s + f.made * f.step;
     bound(&t, s, passed, out);
     for (int i = 0; i < t.n; i++) out->time[i] = passed->time + after;
