@@ -140,7 +140,7 @@ def prepared(
     config = Config(str(model_path), Bus("hub:1"), data_id=7, sha256="ab" * 32, publish=Publish(json_hz=1e-9))
     desk = Desk(str(model_path), seen_by(model), config.stops, 0.0, source.quantum, clock=clock)
     outlet = Outlet() if recorder is None else Overheard(Outlet(), recorder)
-    daemon = Daemon(config, model, source, outlet, profile.cycle_s, Beside(signer=KEY, clock=clock, desk=desk, recorder=recorder))
+    daemon = Daemon(config, model, source, outlet, profile.cycle_s, Beside(key=KEY, clock=clock, desk=desk, recorder=recorder))
     daemon._next_json = daemon._next_health = 1e18
     clock.now, bus.ready = clock.now + profile.cycle_s, bus.cycles.pop(0)
     source.next(0.0)  # the first cycle of a bus that is running already is not given out

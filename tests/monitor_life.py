@@ -13,11 +13,12 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 import stopset.monitor.service  # noqa: F401 - whatever the daemon has imported when its loop begins
 from monitor_arm import DT, known_model, motion
@@ -89,7 +90,7 @@ class Life:
             self.daemon.stopping = True
             return None
         if isinstance(self.script[0], Sample):
-            return replace(self.script.pop(0), t=time.time())  # type: ignore[type-var]
+            return structs.replace(self.script.pop(0), t=time.time())  # type: ignore[type-var]
         raise self.script.pop(0)("as it happens")  # type: ignore[operator]
 
     def counters(self) -> dict[str, int]:
@@ -151,7 +152,7 @@ class Life:
 
     def error_in_the_check(self) -> None:
         first, *rest = self.samples(3)
-        self.live(replace(first, q=np.zeros(7)), *rest)
+        self.live(structs.replace(first, q=np.zeros(7)), *rest)
 
     def lost_bus(self) -> None:
         self.live(BusError, *self.samples(3))

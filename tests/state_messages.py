@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from stopset.monitor.packer import Packer, Signer
+from stopset.monitor.authentication import Key
+from stopset.monitor.packer import Packer
 
 
-def pack(values: Mapping[str, Any], signer: Signer | None = None) -> bytes:
+def pack(values: Mapping[str, Any], key: Key | None = None) -> bytes:
     """One message, see `Packer`."""
-    return Packer(signer).pack(values)
+    return Packer(key).pack(values)

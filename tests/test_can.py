@@ -644,6 +644,6 @@ def test_why_no_cycle_is_whole_is_said_once() -> None:
 def test_a_master_that_stood_still_has_not_counted(pause: float, gap: bool) -> None:
     """Its counter goes on by one, and the arm has moved for all the time: what was predicted for one cycle accused it."""
     count = CycleCount(DT, PROFILE.sync_overflow)
-    numbers = [count(Cycle(k + 1, 100.0 + k * DT + (pause if k >= 10 else 0.0), np.zeros((5, 6)))) for k in range(20)]
+    numbers = [count(Cycle(k + 1, 100.0 + k * DT + (pause if k >= 10 else 0.0), np.zeros((5, 6)), 0, True)) for k in range(20)]
     steps = np.diff(numbers)
     assert (steps[9] > 1) == gap and set(np.delete(steps, 9)) == {1}

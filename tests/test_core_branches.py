@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import hmac
+import struct
 import zlib
 from dataclasses import replace
 
@@ -261,12 +263,35 @@ def test_a_model_without_polynomials_is_its_damping() -> None:
         struct.n = 2
 
 
-def test_a_seal_is_both_checksums_of_what_is_before_them() -> None:
-    data = np.frombuffer(b"123456789" + bytes(8), np.uint8).copy()
-    here = ffi.from_buffer("uint8_t[]", data)
-    lib.stopset_seal(9, here)
-    assert data[9:13].tobytes() == zlib.crc32(b"123456789").to_bytes(4, "little")
-    assert data[13:].tobytes() == lib.stopset_crc32c(13, here).to_bytes(4, "little")
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_finished_message_is_rounded_then_checked_then_signed_then_checked_again(signed: bool) -> None:
+    """Two numbers, checks from byte 20 on, the code from 32 on, checks from 48 on, made twice in the same place."""
+    secret, data, key = bytes(range(7, 71)), bytearray(56), ffi.new("StopsetKey *")
+    numbers, side = np.array([0.1, -0.1]), ffi.new("int8_t[]", [1, -1])
+    lib.stopset_key(secret, key)
+    message = ffi.new("StopsetMessage *", {
+        "bytes": ffi.from_buffer("uint8_t[]", data), "key": key if signed else ffi.NULL, "numbers": view(numbers), "side": side,
+        "count": 2, "first": 8, "check": 20, "code": 32, "end": 48,
+    })  # fmt: skip
+    for begin in (b"12345678", b"abcdefgh"):
+        data[:8], data[28:32] = begin, b"more"
+        lib.stopset_finish(message)
+        low, high = struct.unpack("<ff", data[8:16])
+        assert low >= 0.1 and high <= -0.1 and abs(low - 0.1) < 1e-8 and abs(high + 0.1) < 1e-8
+        for end in (20, 48):
+            castagnoli = lib.stopset_crc32c(end + 4, ffi.from_buffer("uint8_t[]", data))
+            assert struct.unpack("<II", data[end : end + 8]) == (zlib.crc32(data[:end]), castagnoli)
+        assert data[32:48] == (hmac.digest(secret, data[:32], "sha256")[:16] if signed else bytes(16))
+
+
+def test_a_code_is_hmacs_whatever_the_length() -> None:
+    """Up to four blocks, so that the end falls into the last one, fills it, and needs another."""
+    secret, data = bytes(range(64)), bytes(range(256))
+    key, out = ffi.new("StopsetKey *"), ffi.new("uint8_t[]", lib.STOPSET_CODE)
+    lib.stopset_key(secret, key)
+    for length in range(len(data)):
+        lib.stopset_code(key, length, data, out)
+        assert bytes(out) == hmac.digest(secret, data[:length], "sha256")[: lib.STOPSET_CODE]
 
 
 def test_polynomials_and_their_slopes_are_sums_of_monomials() -> None:

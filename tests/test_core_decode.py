@@ -64,7 +64,7 @@ class Table:
             **{k: ffi.from_buffer("double[]", x) for k, x in (
                 ("scale", scale), ("raw", raw), ("held", held), ("values", self.values), ("heard", self.heard))},
             "came": ffi.from_buffer("uint8_t[]", came), "node": ffi.from_buffer("uint8_t[]", node), "patience": self.patience,
-            "foreign": -1, "shift": math.inf, "log": log, "room": 4, "counter": -1, "held_counter": -1,
+            "foreign": -1, "shift": math.inf, "log": log, "room": 4, "counter": -1, "held_counter": -1, "status": -1,
         })  # fmt: skip
 
     def feed(self, frames: Iterable[Frame], now: float | None = None) -> list[tuple[int, int, Array]]:
@@ -99,6 +99,28 @@ def test_every_kind_of_number_is_what_struct_makes_of_it(code: str) -> None:
         frames = [Frame(SYNC, b"", 1e3), *(Frame(FIRST + i, x, 1e3 + 1e-4) for i, x in enumerate(data))]
         want = [float(struct.unpack(f"<{code}", x)[0]) for x in data]
         assert np.array_equal(given_out(t.feed(frames)), [want], equal_nan=True)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.95 * CYCLE])
+def test_what_a_cycle_lacks_and_whether_its_drives_are_in_operation(late: float) -> None:
+    """Three signals of one joint, the last one its statusword (CiA 402), given out at once or with the next SYNC."""
+
+    def heard(*values: float, status: int = 2) -> tuple[int, int]:
+        t = Table(3, "d")
+        t.d.n, t.d.signals, t.d.status = 1, 3, status
+        first = [
+            Frame(SYNC, b"", 1e3),
+            *(Frame(FIRST + i, struct.pack("<d", x), 1e3 + 1e-4 + late) for i, x in enumerate(values)),
+        ]
+        assert len(given_out(t.feed([*first, Frame(SYNC, b"", 1e3 + CYCLE)]))) == 1
+        return t.d.out_lacks, t.d.out_powered
+
+    for word in (0x27, 0x637, 0x27 | 0x1210, math.nan):
+        assert heard(1.0, 2.0, word)[1] == 1
+    for word in (0.0, 0x23, 0x07, 0x6F, -1.0, 1e300, -math.inf):
+        assert heard(1.0, 2.0, word) == (0, 0) and heard(1.0, 2.0, word, status=-1) == (0, 1)
+    assert [heard(*x, 0x27)[0] for x in ((math.nan, 0.0), (0.0, math.nan), (math.nan, math.nan))] == [1, 2, 3]
+    assert heard(0.0, 0.0, math.nan) == (4, 1)
 
 
 @pytest.mark.parametrize("overflow", [0, 5])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from float32 import outward
 from monitor_arm import DT, NOISE, U, known_model, motion, with_torque_scaled
@@ -102,7 +103,7 @@ def test_each_side_of_each_state_is_held(kick: float, side: str, state: str, joi
     run = samples(motion(2, 30))
     moved = getattr(run[-1], state) + kick * np.eye(6)[joint]
     watch = Watch(known_model())
-    *_, v = verdicts(watch, [*run[:-1], replace(run[-1], **{state: moved})])
+    *_, v = verdicts(watch, [*run[:-1], structs.replace(run[-1], **{state: moved})])
     (d,) = v.deviations
     assert (d.joint, d.state, d.side) == (known_model().joints[joint], state, side)
     assert d.measured == moved[joint] and abs(d.measured - d.bound) == pytest.approx(d.excess)
@@ -159,7 +160,7 @@ def test_no_verdict_is_unknown_and_forgets(change: dict[str, Any], word: str) ->
     watch = Watch(known_model())
     run = samples(motion(0, 30))
     verdicts(watch, run[:20])
-    v = watch.step(replace(run[20], **change))
+    v = watch.step(structs.replace(run[20], **change))
     assert v.conformance is Conformance.UNKNOWN and word in v.why
     assert watch.step(run[21]).compared == 0, "predictions across it are dropped"
 
@@ -187,7 +188,7 @@ def test_an_error_inside_is_fault_and_nothing_survives_it() -> None:
     watch = Watch(known_model())
     run = samples(motion(0, 30))
     verdicts(watch, run[:20])
-    v = watch.step(replace(run[20], q=np.zeros(5)))
+    v = watch.step(structs.replace(run[20], q=np.zeros(5)))
     assert v.conformance is Conformance.FAULT and v.why.startswith("the check failed")
     assert watch.step(run[21]).conformance is Conformance.UNKNOWN
 
@@ -257,7 +258,7 @@ def test_a_bus_with_another_cycle_is_refused() -> None:
 def test_violations_stay_latched_and_are_classified() -> None:
     latch, watch = Latch(), Watch(known_model())
     good = samples(motion(0, 60))
-    spike = [replace(s, dq=s.dq + (np.eye(6)[5] * 0.5 if s.k == 30 else 0.0)) for s in good]
+    spike = [structs.replace(s, dq=s.dq + (np.eye(6)[5] * 0.5 if s.k == 30 else 0.0)) for s in good]
     new = [latch.take(s, watch.step(s)) for s in spike]
     assert latch.latched and latch.joints == ("arm_6_joint",)
     assert next(k for k, n in enumerate(new) if n) == 30
@@ -392,11 +393,11 @@ def test_cycle_numbers_show_what_was_lost() -> None:
 
     nothing = np.zeros((5, 6))
     count = CycleCount(0.004, 240)
-    late = [count(Cycle(c, t, nothing)) for c, t in ((238, 0.0), (239, 0.011), (240, 0.012), (1, 0.016), (4, 0.028))]
+    late = [count(Cycle(c, t, nothing, 0, True)) for c, t in ((238, 0.0), (239, 0.011), (240, 0.012), (1, 0.016), (4, 0.028))]
     assert late == [0, 1, 2, 3, 6], "late frames are no gap, lost cycles are"
-    assert count(Cycle(5, 5.0, nothing)) > 100, "half a round of the counter later it cannot be trusted"
+    assert count(Cycle(5, 5.0, nothing, 0, True)) > 100, "half a round of the counter later it cannot be trusted"
     clock = CycleCount(0.004, 0)
-    assert [clock(Cycle(None, t, nothing)) for t in (0.0, 0.0041, 0.0079, 0.0160)] == [0, 1, 2, 4]
+    assert [clock(Cycle(None, t, nothing, 0, True)) for t in (0.0, 0.0041, 0.0079, 0.0160)] == [0, 1, 2, 4]
 
 
 def numbers(provable: bool) -> dict[str, Numbers]:
@@ -427,10 +428,12 @@ def test_the_worst_known_decides_the_state() -> None:
         {"since": 0.031},
         {"age": -0.005},
         {"age": float("nan")},
-        {"verdict": replace(inside, oldest=0.09)},
+        {"verdict": structs.replace(inside, oldest=0.09)},
     ):
         assert decide(replace(good, **change))[0] is State.UNKNOWN, change
-    assert decide(replace(good, sample=replace(s, fault="the drive of arm_1_joint (node 3) is stopped")))[0] is State.UNKNOWN
+    assert (
+        decide(replace(good, sample=structs.replace(s, fault="the drive of arm_1_joint (node 3) is stopped")))[0] is State.UNKNOWN
+    )
     assert decide(replace(good, verdict=Verdict(Conformance.FAULT, "x")))[0] is State.FAULT
     assert decide(replace(good, numbers={}))[1] and not believable(*decide(replace(good, latched="seen"))[:2])
     outside = replace(good, verdict=Verdict(Conformance.UNKNOWN, "outside", outside=("q_a",)))
@@ -495,7 +498,7 @@ def test_a_message_made_in_place_is_the_one_made_anew(rows: list[tuple[int, int,
         )
         values |= {"seq": seq, "room_min": room, "holding_margin_min": -room, "oldest_age": abs(room), "nonces": (seq, 0, 0, k)}
         values |= {"state": 1 + k, "conformance": k, "first_joint": 2 + k, "violation_class": 3}
-        assert packer.again(values, blocks[k]) == pack({**blocks[k], **values})
+        assert packer.again(values, {"nonces": (seq, 0, 0, k)}, blocks[k]) == pack({**blocks[k], **values})
 
 
 def test_codes_differ_in_four_bits() -> None:

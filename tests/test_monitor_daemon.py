@@ -9,12 +9,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from monitor_arm import DT, known_model, motion
 from monitor_process import free_port, running, write_config
@@ -54,7 +54,7 @@ class Arm:
             time.sleep(timeout)
             return None
         self.given += 1
-        return replace(step, t=self.begun + self.pace * self.given)
+        return structs.replace(step, t=self.begun + self.pace * self.given)
 
     def counters(self) -> dict[str, int]:
         return {}
@@ -175,7 +175,7 @@ def test_errors_in_a_row_end_the_daemon_for_its_supervisor(make: Callable[..., M
 
 
 def test_an_error_inside_the_check_is_fault(make: Callable[..., Made]) -> None:
-    bad = replace(samples(6)[5], q=np.zeros(7))
+    bad = structs.replace(samples(6)[5], q=np.zeros(7))
     daemon, _, wire = make([*samples(5), bad])
     daemon.run(never)
     assert wire.words[-1] is State.FAULT and wire.states[-1]["conformance"] in (0, 3)
@@ -404,7 +404,7 @@ def test_a_violation_is_latched_whatever_fails_in_its_cycle(make: Callable[..., 
     import resource
 
     good = samples(60)
-    good[50] = replace(good[50], q=good[50].q + 0.5)
+    good[50] = structs.replace(good[50], q=good[50].q + 0.5)
     daemon, arm, wire = make([])
     arm.script = [*good[:50], None]
     while arm.script:
@@ -429,7 +429,7 @@ def test_a_violation_is_latched_whatever_fails_in_its_cycle(make: Callable[..., 
 def test_an_order_that_names_no_message_clears_no_violation_that_nobody_can_have_seen(make: Callable[..., Made]) -> None:
     """It was under way when the arm left its model, and cleared that before it was told."""
     good = samples(62)
-    good[50] = replace(good[50], q=good[50].q + 0.5)
+    good[50] = structs.replace(good[50], q=good[50].q + 0.5)
     daemon, arm, wire = make([])
     arm.script = good[:51]
     for _ in range(50):
@@ -450,7 +450,7 @@ def test_an_order_that_names_no_message_clears_no_violation_that_nobody_can_have
 @pytest.mark.parametrize(("recover", "flaps"), [(0.0, True), (LEAST_RECOVER, False)])
 def test_good_cycles_between_bad_ones_are_no_ok(make: Callable[..., Made], recover: float, flaps: bool) -> None:
     """Of drives that leave out the torque of every fourth cycle: why a configuration with no time to recover is refused."""
-    script = [s if k < 40 or k % 4 else replace(s, tau=None) for k, s in enumerate(samples(90))]
+    script = [s if k < 40 or k % 4 else structs.replace(s, tau=None) for k, s in enumerate(samples(90))]
     daemon, _, wire = make(script, publish={"recover_s": recover, "evidence_min_s": 0.0})
     daemon.run(never)
     later = [s["state"] for s in wire.states if s["t_meas_ns"] > wire.states[-1]["t_meas_ns"] - 40 * DT * 1e9]

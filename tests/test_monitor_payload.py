@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from monitor_arm import DT, known_model, motion
 from stopset.artifact import Model, save_model
@@ -111,7 +112,7 @@ def test_no_verdict_for_what_was_not_identified(known: Masses, line: str, why: s
 def test_which_payload_was_assumed_is_published(line: str, said: dict[str, Any], tmp_path: Path) -> None:
     model = save_model(carrying(0.0, 3.0), tmp_path / "arm.model.json")
     declared(tmp_path, line)
-    arm, wire = Arm([replace(s, t=0.0) for s in samples(motion(0, 5))]), Wire()
+    arm, wire = Arm([structs.replace(s, t=0.0) for s in samples(motion(0, 5))]), Wire()
     arm.daemon = daemon = Daemon(load_config(tmp_path / "c.toml"), model, arm, wire, DT)
     try:
         daemon.run(lambda: arm)

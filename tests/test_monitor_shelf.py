@@ -14,7 +14,7 @@ import pytest
 from stopset.artifact import save_model
 from stopset.monitor.ahead import LONG, NARROW, WIDE, Heading
 from stopset.monitor.asking import FULL, Budget, Counter
-from stopset.monitor.certificates import Certificate, Numbers, Shelf
+from stopset.monitor.certificates import Certificate, CommonBox, Numbers, Shelf
 from stopset.monitor.config import Stops
 from stopset.monitor.sample import Quantum
 from stopset.monitor.stopdesk import LEFT, SPENT, StopDesk, seen_by
@@ -54,6 +54,20 @@ def test_the_tightest_of_those_that_hold_is_found_and_the_oldest_goes() -> None:
     shelf.put(answer(5.0, 0.1, 0.2))
     shelf.put(answer(5.0, 0.1, 0.2))
     assert len(shelf.answers) == 3 and shelf.best(at, NONE) is None, "the two that held it were the oldest"
+
+
+def test_the_common_box_is_where_all_answers_in_use_hold_as_long_as_that_is_known() -> None:
+    box, q, dq = CommonBox(np.full(2 * N, 0.01)), np.full(N, 0.5), np.full(N, -0.5)
+    assert not box.holds(q, dq), "nothing is in use yet"
+    box.of([answer(0.0, 1.0, 0.1), answer(0.2, 1.0, 0.1)])
+    assert box.holds(q, dq) and box.x.tolist() == [0.5] * N + [-0.5] * N
+    assert box.holds(q + 0.489, dq) and not box.holds(q + 0.491, dq), "what bus rounding may hide must lie in it too"
+    assert box.holds(q, dq - 0.289) and not box.holds(q, dq - 0.291), "the second one ends there"
+    assert not box.holds(np.where(np.arange(N) == 3, np.nan, q), dq)
+    box.forget()
+    assert not box.holds(q, dq)
+    box.of([answer(5.0, 0.1, 0.1)])
+    assert not box.holds(q, dq) and box.holds(q + 4.5, dq + 5.5)
 
 
 def test_the_box_ahead_holds_the_motion_it_was_made_for() -> None:

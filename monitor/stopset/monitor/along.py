@@ -8,9 +8,10 @@ Source: Liu & Althoff (2018), Sec. IV-C.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import structs
 
 from stopset.artifact import Model
 from stopset.monitor.check import ALL_ZERO, LARGEST, Check, no_number, not_checked, outside
@@ -104,7 +105,7 @@ class WatchAlong(Check):
             return self._said if good else self._doubtful(beyond)
         verdict = self._at_step(x, held, beyond)
         if broken and before is not None:
-            verdict = replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}", gap=True)
+            verdict = structs.replace(verdict, why=f"gap: cycle {before.k} was followed by {s.k}", gap=True)
         self._said = verdict
         return verdict
 

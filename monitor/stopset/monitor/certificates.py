@@ -50,11 +50,6 @@ class Numbers:
         return cls(np.full(n, time), a, a, tcp, np.zeros(n, bool))
 
 
-def holds(lo: Array, hi: Array, x: Array, slack: Array) -> bool:
-    """Whether ``x`` lies within ``lo`` and ``hi``, (2n,) each, with ``slack`` either way."""
-    return bool(lib.stopset_tightest(1, len(x), view(lo), view(hi), _ANY, view(x), view(slack)) == 0)
-
-
 @dataclass(frozen=True, slots=True)
 class Certificate:
     """A bound that holds for every measured state with ``lo <= (q, dq) <= hi``, (2n,) each; ``took`` [s] to make, ``cpu`` of it at work."""
@@ -68,7 +63,33 @@ class Certificate:
 
     def covers(self, x: Array, slack: Array) -> bool:
         """Whether a reading lies inside with all that bus rounding, ``slack`` (2n,), may have hidden; noise is in the bound."""
-        return holds(self.lo, self.hi, x, slack)
+        return bool(lib.stopset_tightest(1, len(x), view(self.lo), view(self.hi), _ANY, view(x), view(slack)) == 0)
+
+
+class CommonBox:
+    """The box in which all answers in use hold, if they are known; what the core sees of it is pinned, as it is looked at in every cycle.
+
+    ``x``: the reading that is looked up, ``slack``: what bus rounding may have hidden, (2n,) each.
+    """
+
+    def __init__(self, slack: Array) -> None:
+        self.x, self._box, self._known = np.empty_like(slack), np.empty((2, len(slack))), 0
+        self._joints = self.x.reshape(2, -1)
+        self._seen = len(slack), view(self._box[0]), view(self._box[1]), _ANY, view(self.x), view(slack)
+
+    def of(self, answers: list[Certificate]) -> None:
+        """These are in use."""
+        self._box[0], self._box[1] = np.max([a.lo for a in answers], axis=0), np.min([a.hi for a in answers], axis=0)
+        self._known = 1
+
+    def forget(self) -> None:
+        """Which are in use may have changed."""
+        self._known = 0
+
+    def holds(self, q: Array, dq: Array) -> bool:
+        """Whether all answers in use hold for this reading, (n,) each, as far as that is known."""
+        self._joints[0], self._joints[1] = q, dq
+        return bool(lib.stopset_tightest(self._known, *self._seen) == 0)
 
 
 @dataclass(slots=True)

@@ -17,6 +17,7 @@ import msgspec
 from stopset.artifact import Model
 from stopset.errors import BusError, NotCovered
 from stopset.monitor.along import watch_for
+from stopset.monitor.authentication import Key
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.clearing import Clearing
 from stopset.monitor.clock import Clock, SystemClock
@@ -29,7 +30,6 @@ from stopset.monitor.notify import Notifier
 from stopset.monitor.operators import Operators
 from stopset.monitor.orders import Orders
 from stopset.monitor.pace import Pace
-from stopset.monitor.packer import Signer
 from stopset.monitor.publisher import Outlet, Publisher
 from stopset.monitor.realtime import Granted, Waits
 from stopset.monitor.reloading import Loaded, Reloading, end_beside
@@ -59,7 +59,7 @@ class Beside:
     """
 
     latch: Latch | None = None
-    signer: Signer | None = None
+    key: Key | None = None
     clock: Clock | None = None
     desk: StopDesk | None = None
     load: Callable[[], Model] | None = None
@@ -92,7 +92,7 @@ class Daemon:
         self._fault = self._last_words = self._disk = ""
         self._evidence: deque[Sample] = deque(maxlen=max(1, round(config.publish.evidence_s / cycle_s)))
         self._next_json = self._next_health = 0.0
-        self.publisher = Publisher(outlet, self.clock, self._identity(), beside.signer)
+        self.publisher = Publisher(outlet, self.clock, self._identity(), beside.key)
         self.clearing = Clearing(Operators.of(config.operators), self.latch, self.publisher, config.data_id, self.clock)
         self._message = StateMessage(config.fallback, model.n)
         for name in ("challenge", "reset"):
@@ -164,7 +164,7 @@ class Daemon:
         if self.recorder is not None and sample is not None:
             self.recorder.trace.state(int(turn.state))
         if sample is not None:
-            self.tally.states[turn.state.name] += 1
+            self.tally.states[turn.state] += 1
             self.tally.busy.add(self.clock.monotonic() - begin)
         self._slow_messages(begin, turn)
         self._fault = ""
@@ -172,7 +172,9 @@ class Daemon:
     def _heed(self) -> None:
         """What drives say once is kept before anything else happens."""
         if (drives := drives_of(self.source)) is not None:
-            if drives.in_force.items() - self.latch.record.emergencies.items():  # another of the same drive is one too
+            if (
+                drives.in_force and drives.in_force.items() - self.latch.record.emergencies.items()
+            ):  # another of the same drive is one too
                 self.clearing.emergency()
             self.latch.hear(drives.in_force)
 
@@ -192,7 +194,7 @@ class Daemon:
             self.clearing.violation()
         t = self.tally
         t.samples += 1
-        t.verdicts[v.conformance.value] += 1
+        t.verdicts[v.conformance] += 1
         t.outside_domain += bool(v.outside)
         delay = self.clock.time_ns() * 1e-9 - s.t
         t.delays.add(delay)

@@ -34,6 +34,7 @@ class LinearTubes:
     quantum: Quantum
     plain: bool
     ages: Array = field(init=False)
+    seconds: list[float] = field(init=False)  # the same: from an array every one would be made anew
     stride: int = field(init=False)  # samples from the start of one prediction to the next
     start: Array = field(init=False)
     room: Array = field(init=False)
@@ -53,7 +54,7 @@ class LinearTubes:
         m, sets, n = self.model, self.model.powered, self.model.n
         self._Ad, self._Bd = discretise(m.abstraction, sets.dt)
         tube = deviation_tube(m.abstraction, sets)
-        self.ages = tube.ages
+        self.ages, self.seconds = tube.ages, tube.ages.tolist()
         # H products of 2n + n terms each round by 2^-53 relative to states within a few turns
         rounding = len(tube.ages) * 3 * n * 2.0**-53 * 32.0
         here = np.concatenate([self.quantum.q, self.quantum.dq])

@@ -55,11 +55,10 @@ class StateMessage:
         joint = first.first.joint if first else ""
         return {
             "t_meas_ns": min(max(0, round(s.t * 1e9)), U64) if s and math.isfinite(s.t) else 0,
-            "state": turn.state.value, "conformance": CODES[v.conformance] if v else 0, "flags": turn.flags,
+            "state": int(turn.state), "conformance": CODES[v.conformance] if v else 0, "flags": turn.flags,
             "violation_count": min(latch.count, U32), "oldest_age": v.oldest if v else 0.0, "violation_class": latch.kind.code,
             "first_joint": joints.index(joint) + 1 if joint in joints else 0,
             "room_min": min(v.room.tolist()) if v and v.room is not None else -np.inf,  # the array's own asks the system for memory
-            "holding_margin_min": min([x.margin for x in turn.numbers.values()], default=-np.inf),
             "bad_nodes": s.bad_nodes if s else 0, "dropped": observed.dropped & U32,
         }  # fmt: skip
 
@@ -67,7 +66,7 @@ class StateMessage:
         """The fields that stay, with ``identity``, while the stop numbers do: they are rounded once."""
         known, of, block = self._block
         if known is not numbers or of is not identity:
-            block = dict(identity)
+            block = {**identity, "holding_margin_min": min([x.margin for x in numbers.values()], default=-np.inf)}
             for category in CATEGORIES:
                 block |= stop_fields(PREFIX[category], numbers.get(category) or Numbers.none(self.n, "not asked for"))
             self._block = numbers, identity, block

@@ -77,6 +77,8 @@ class Orders:
 
     def challenges(self) -> list[bytes]:
         """Some of the waiting nonces, oldest first."""
+        if not self._challenges:
+            return []
         return [self._challenges.popleft() for _ in range(min(A_TURN, len(self._challenges)))]
 
     def reset(self) -> tuple[Reset | None] | None:

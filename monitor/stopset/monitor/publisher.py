@@ -10,9 +10,10 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
+from stopset.monitor.authentication import Key
 from stopset.monitor.clock import Clock
 from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, NONCES, PREFIX, Flag, State
-from stopset.monitor.packer import Packer, Signer
+from stopset.monitor.packer import Packer
 
 MAX_EVENTS = 100  # kept for those who ask later
 U64 = 2**64 - 1
@@ -31,12 +32,12 @@ class Outlet(Protocol):
 class Publisher:
     """Numbers the messages of one life (``boot``), signs and sends them; ``identity``: fields that stay the same."""
 
-    def __init__(self, outlet: Outlet, clock: Clock, identity: Mapping[str, int], signer: Signer | None) -> None:
+    def __init__(self, outlet: Outlet, clock: Clock, identity: Mapping[str, int], key: Key | None) -> None:
         self.outlet, self.clock, self.identity = outlet, clock, dict(identity)
         self.boot, self.seq, self.errors, self.error = secrets.randbits(64), 0, 0, ""
         self.events: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
         self._nonces: deque[int] = deque([0] * NONCES, maxlen=NONCES)
-        self._packer = Packer(signer)
+        self._packer = Packer(key)
         self._send = outlet.fast("state")
         self._said: dict[str, float] = {}
         inf = np.full(MAX_JOINTS, np.inf)
@@ -58,7 +59,7 @@ class Publisher:
             if values is None or block is None:
                 data = self._packer.pack({**self.identity, **(self._nothing if values is None else values), **now})
             else:
-                data = self._packer.again({**values, **now}, block)
+                data = self._packer.again(values, now, block)
         except Exception as e:  # noqa: BLE001 - whatever it is, the consumers must hear FAULT rather than nothing
             self._failed("a message could not be packed", e)
             data = self._packer.pack({**self.identity, **self._nothing, **now})

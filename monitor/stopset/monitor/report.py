@@ -51,7 +51,7 @@ class RunCounts:
 
     samples: int = 0
     verdicts: dict[str, int] = field(default_factory=lambda: {c.value: 0 for c in Conformance})
-    states: dict[str, int] = field(default_factory=lambda: {s.name: 0 for s in State})  # told of samples
+    states: dict[State, int] = field(default_factory=lambda: dict.fromkeys(State, 0))  # told of samples
     outside_domain: int = 0
     gaps: int = 0
     faults: int = 0
@@ -130,7 +130,8 @@ def twin(d: Monitored, turn: Turn) -> dict[str, Any]:
         "violation_class": d.latch.kind.value, "violation_cause": d.latch.record.cause or None,
         "violating_joints": list(d.latch.joints), "violations": [e.plain() for e in d.latch.entries.values()],
         "outside_domain": list(v.outside) if v else [],
-        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts), "states": dict(d.tally.states), "gaps": d.tally.gaps,
+        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts),
+        "states": {s.name: count for s, count in d.tally.states.items()}, "gaps": d.tally.gaps,
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
         "tube": _tube(d),
         "q": s.q.tolist() if s else None, "dq": s.dq.tolist() if s else None,

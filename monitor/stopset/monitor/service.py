@@ -51,7 +51,7 @@ def start(config: Config, begun: Spawned, seconds: float = 0.0) -> tuple[int, di
 
     model = load()
     cycle_s = _cycle(config, model, profile)
-    signer = load_keys(config.keys).first if config.keys else None
+    key = load_keys(config.keys).first if config.keys else None
     latch = Latch(Journal(FileStore(Path(config.journal), Record(), Path(config.begun), lost=config.must_remember)))
     z = config.zenoh
     link = ZenohLink(config.prefix, mode=z.mode, connect=z.connect, listen=z.listen, file=z.file or None, longest=MAX_BYTES)
@@ -79,7 +79,7 @@ def start(config: Config, begun: Spawned, seconds: float = 0.0) -> tuple[int, di
     try:
         daemon = Daemon(
             config, model, first_source(), Overheard(link, recorder), cycle_s,
-            Beside(latch=latch, signer=signer, load=load, recorder=recorder, granted=granted, begun=begun),
+            Beside(latch=latch, key=key, load=load, recorder=recorder, granted=granted, begun=begun),
         )  # fmt: skip
     except BaseException:
         link.close()

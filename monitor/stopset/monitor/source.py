@@ -23,7 +23,7 @@ from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.senders import Senders
 from stopset.types import Array
 
-Q, DQ, TAU, TEMP, STATUS = range(len(SIGNALS))
+Q, DQ, TAU, TEMP, _ = range(len(SIGNALS))
 STOOD = 0.1  # [s] more between two SYNC than their counter says: no stamp is late by as much, the master has stood still
 SLOW_CYCLE = 0.2  # [s] of longer ones none may be whole between two looks, and nothing is wrong
 GAP = 1000  # a step in the cycle number that no run of samples makes
@@ -52,14 +52,9 @@ class SampleSource(Protocol):
 
 def sample_of(cycle: Cycle, k: int, bad_nodes: int = 0, fault: str = "") -> Sample:
     """SI values of a cycle as a sample; what the bus does not carry is None."""
-    q, dq, tau, temp, status = cycle.values  # made for this cycle alone
-    # CiA 402 statusword: operation enabled; where it is not carried nothing speaks against it
-    powered = all(x != x or int(x) & 0x6F == 0x27 for x in status.tolist())
-    return Sample(k, cycle.t, q, dq, _carried(tau), _carried(temp), powered, fault, bad_nodes)
-
-
-def _carried(row: Array) -> Array | None:
-    return None if any(x != x for x in row.tolist()) else row
+    x, lacks = cycle.values, cycle.lacks  # made for this cycle alone
+    tau, temp = None if lacks & 1 << TAU else x[TAU], None if lacks & 1 << TEMP else x[TEMP]
+    return Sample(k, cycle.t, x[Q], x[DQ], tau, temp, cycle.powered, fault, bad_nodes)
 
 
 @dataclass(slots=True)
@@ -121,9 +116,9 @@ class CanSource:
 
     def next(self, timeout: float) -> Sample | None:
         """Waits for a sample if none is there; ends in time whatever else passes on the bus."""
-        batch, end, wait, found = self._batch, self.clock.monotonic() + timeout, timeout, None
-        last = self.decoder.frames + TURN
-        while self.decoder.frames < last:
+        batch, decoder, end, wait, found = self._batch, self.decoder, self.clock.monotonic() + timeout, timeout, None
+        last = decoder.frames + TURN
+        while decoder.frames < last:
             if batch.taken[0] == batch.count:
                 try:
                     self._refill(wait)
@@ -135,7 +130,7 @@ class CanSource:
                 if not batch.count and (found is not None or self.clock.monotonic() >= end):
                     break
             now = self.clock.time_ns() * 1e-9
-            cycle = self.decoder.take(batch, now)
+            cycle = decoder.take(batch, now)
             if cycle is not None:
                 self.dropped += found is not None
                 found = self._sample(cycle, now)

@@ -21,7 +21,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.monitor.ahead import Heading
 from stopset.monitor.asking import Budget, Counter
-from stopset.monitor.certificates import Certificate, Numbers, holds
+from stopset.monitor.certificates import Certificate, CommonBox, Numbers
 from stopset.monitor.clock import Clock, SystemClock
 from stopset.monitor.config import EXPANDED, Masses, Stops
 from stopset.monitor.sample import Quantum
@@ -56,8 +56,7 @@ class StopDesk:
     _motion: Heading = field(init=False)
     _slack: Array = field(init=False)
     _numbers: dict[str, Numbers] = field(default_factory=dict)
-    _common: tuple[Array, Array] | None = None  # (2n,) the box in which all answers in use hold, unless one may have changed
-    _x: Array = field(init=False)
+    _common: CommonBox = field(init=False)
     _none: Numbers | None = None
     _pipe: Connection | None = None
     _process: Any = None
@@ -74,8 +73,8 @@ class StopDesk:
     def __post_init__(self) -> None:
         self.budget = Budget(self.stops.core_share)
         self.counters = {c: Counter.of(self.n, self.budget, len(self.categories)) for c in self.categories}
-        self._x = np.empty(2 * self.n)
         self._slack = np.concatenate([self.quantum.q, self.quantum.dq])
+        self._common = CommonBox(self._slack)
         # a reading on the border lies inside with all that rounding may hide
         room = 2.0 * self._slack + TINY
         self._motion = Heading(Box(self.seen.lo - room, self.seen.hi + room))
@@ -139,7 +138,7 @@ class StopDesk:
             return
         self._motion.settle()
         self.budget.at(now)
-        self._common = None
+        self._common.forget()
         wanted = c.lacks(self._motion, self._slack, period)
         if wanted is not None:
             if self._idle:
@@ -195,10 +194,9 @@ class StopDesk:
 
     def now(self, q: Array, dq: Array) -> tuple[dict[str, Numbers], bool]:
         """Bounds by category that hold for this state, and whether all of them were answered for it."""
-        x, fresh, n = self._x, True, self.n
-        x[:n], x[n:] = q, dq
-        if self._common is not None and holds(*self._common, x, self._slack):
+        if self._common.holds(q, dq):
             return self._numbers, True
+        x, fresh = self._common.x, True
         numbers: dict[str, Numbers] = {}
         for category, c in self.counters.items():
             answer = c.holds(x, self._slack)
@@ -214,9 +212,9 @@ class StopDesk:
         if len(numbers) != len(self._numbers) or any(numbers[c] is not self._numbers[c] for c in numbers):
             self._numbers = numbers
         used = [c.answer for c in self.counters.values() if c.answer is not None]
-        self._common = None
+        self._common.forget()
         if len(used) == len(numbers):
-            self._common = np.max([a.lo for a in used], axis=0), np.min([a.hi for a in used], axis=0)
+            self._common.of(used)
         return self._numbers, fresh
 
     def _nothing(self, why: str) -> Numbers:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+import msgspec
+
 from stopset.types import Array
 
 
@@ -35,8 +37,7 @@ class Deviation:
     in_domain: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(msgspec.Struct, frozen=True):  # as `Sample`
     """What one sample says. ``compared``: predictions it was held against; ``room``: (2n,) distance to the nearest bound
     over the tube's half width (1 centre, 0 on the bound, negative outside); ``outside``: signals beyond the domain; ``gap``:
     cycles were missing before it."""

@@ -44,6 +44,7 @@ class Watch(Check):
     tubes: LinearTubes = field(init=False)
     _inputs: Inputs = field(init=False)
     _here: Array = field(init=False)  # (4, n) the sample: q, dq, torque, temperature
+    _state: Array = field(init=False)  # (2n,) of it, q and dq
     _u: Array = field(init=False)  # (2, n) its input and that of the sample before; `_du` how far they are unknown
     _du: Array = field(init=False)
     _x: Array = field(init=False)  # (2n,) the last state, at its cycle
@@ -63,7 +64,7 @@ class Watch(Check):
         self.tubes = LinearTubes(m, self.quantum, self._inputs.plain)
         self._motion, self._payload_why = GridMotion.of(m), unidentified_payload(m, self.payload)
         self._here, self._u, self._du = np.zeros((4, n)), np.zeros((2, n)), np.zeros((2, n))
-        self._x, self._slack = np.zeros(2 * n), np.zeros(2 * n)
+        self._x, self._slack, self._state = np.zeros(2 * n), np.zeros(2 * n), self._here[:2].reshape(-1)
         d, pinned, tubes = m.domain, Pinned([]), self.tubes
         boxes = [d.q, d.dq, d.u, d.q if d.temp is None else d.temp]  # the last one then is not looked at
         self._struct = ffi.new("StopsetCheck *", {
@@ -112,13 +113,13 @@ class Watch(Check):
         if not reason:
             self._put(s)
             code = lib.stopset_next(self._struct, temp) if follows else lib.stopset_readable(self._struct, temp)
-            reason = self._unreadable(code, s) or self._payload_why
-            if not reason:
+            reason = (self._unreadable(code, s) if code else "") or self._payload_why
+            if code and not reason:
                 check(code)
         if reason:
             self.restart()
             return Verdict(Conformance.UNKNOWN, reason)
-        return self._said(self._here[:2].ravel(), self._outside(s)) if follows else self._uneven(s, before)
+        return self._said(self._state, self._outside(s)) if follows else self._uneven(s, before)
 
     def _unreadable(self, code: int, s: Sample) -> str:
         """In words, what the core has said of a sample; empty if it can be read."""
@@ -143,7 +144,7 @@ class Watch(Check):
         if before is None or (gap and not (even and self._lead_across(s.k - before.k))):
             self._forget()
         check(lib.stopset_look(c, s.temp is not None))
-        x, slack = self._here[:2].ravel(), np.zeros(2 * n) if self._loose else self._slack
+        x, slack = self._state, np.zeros(2 * n) if self._loose else self._slack
         known, beyond = bool(c.known) and not gap, self._outside(s)
         if s.off != 0.0:
             x, slack, more = self._motion.onto_grid(s, self._u[0], self._u[int(known)])
@@ -186,10 +187,11 @@ class Watch(Check):
     def _said(self, x: Array, beyond: tuple[str, ...]) -> Verdict:
         """What the comparison of the state ``x`` (2n,) has come to, with signals ``beyond`` the domain."""
         c = self._struct
-        if not c.live:
+        if not (live := c.live):
             return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=beyond)
-        deviations = self.tubes.deviations(x) if c.seen[1] else ()
-        return Verdict.of_comparison(deviations, beyond, c.live, float(self.ages[c.seen[0]]), self.tubes.room.copy())
+        oldest, passed = c.seen
+        deviations = self.tubes.deviations(x) if passed else ()
+        return Verdict.of_comparison(deviations, beyond, live, self.tubes.seconds[oldest], self.tubes.room.copy())
 
 
 def check_cycle(model: Model, cycle_s: float) -> None:

@@ -2,7 +2,7 @@
  *
  * What is rare, an NMT command, an emergency, a drive that changes its state, is left to the caller.
  *
- * Source: CiA 301 for SYNC, PDO and heartbeat.
+ * Source: CiA 301 for SYNC, PDO and heartbeat, CiA 402 for the statusword.
  */
 #include <math.h>
 #include <string.h>
@@ -53,6 +53,23 @@ static void spoilt(StopsetDecoder *d) {
     d->hold = (int32_t)(hold / d->cycle_s + 0.5);
 }
 
+/* "Operation enabled" in a statusword; where none is carried nothing speaks against it. */
+static int in_operation(double word) { return word != word || (fabs(word) < 0x1p31 && ((int64_t)word & 0x6f) == 0x27); }
+
+/* The cycle in `values` is given out. */
+static void give(StopsetDecoder *d, int32_t counter, double t) {
+    d->out_counter = counter;
+    d->out_t = t;
+    d->out_lacks = 0;
+    d->out_powered = 1;
+    for (int s = 0; s < d->signals; s++)
+        for (int i = 0; i < d->n; i++) {
+            const double x = d->values[s * d->n + i];
+            if (x != x) d->out_lacks |= (uint32_t)1 << s;
+            if (s == d->status && !in_operation(x)) d->out_powered = 0;
+        }
+}
+
 /* The held cycle, if no frame came twice, no SYNC is missing, and this one does not come with its last frame. */
 static int next_sync(StopsetDecoder *d, const StopsetFrame *f, double t) {
     int given = d->holds;
@@ -73,8 +90,7 @@ static int next_sync(StopsetDecoder *d, const StopsetFrame *f, double t) {
     memset(d->came, 0, (size_t)d->pdos);
     if (given) {
         memcpy(d->values, d->held, (size_t)(d->signals * d->n) * sizeof *d->values);
-        d->out_counter = d->held_counter;
-        d->out_t = d->held_t;
+        give(d, d->held_counter, d->held_t);
     }
     return given;
 }
@@ -119,8 +135,7 @@ static int pdo(StopsetDecoder *d, int place, const StopsetFrame *f, double t) {
         d->held_counter = d->counter;
         d->held_t = d->t;
     } else {
-        d->out_counter = d->counter;
-        d->out_t = d->t;
+        give(d, d->counter, d->t);
     }
     return !late;
 }

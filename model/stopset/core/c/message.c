@@ -1,4 +1,4 @@
-/* What a message needs: numbers rounded to their safe side, and both checksums.
+/* What a message needs: numbers rounded to their safe side, both checksums, the code between them.
  *
  * Source: CRC-32/ISO-HDLC and CRC-32C (Castagnoli), both reflected, start and end inverted.
  */
@@ -48,31 +48,45 @@ static uint32_t word(const uint8_t *data) {
     return (uint32_t)data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
 }
 
-static uint32_t checksum(const uint32_t (*table)[16], int64_t length, const uint8_t *data) {
-    uint32_t crc = 0xffffffffu;
-    for (; length >= 4; length -= 4, data += 4) {
-        const uint32_t x = crc ^ word(data);
-        crc = 0;
-        for (int k = 0; k < 8; k++) crc ^= table[k][x >> 4 * k & 15];
-    }
+static uint32_t word_taken(const uint32_t (*table)[16], uint32_t crc, uint32_t x) {
+    x ^= crc;
+    crc = 0;
+    for (int k = 0; k < 8; k++) crc ^= table[k][x >> 4 * k & 15];
+    return crc;
+}
+
+static uint32_t taken(const uint32_t (*table)[16], uint32_t crc, int64_t length, const uint8_t *data) {
+    for (; length >= 4; length -= 4, data += 4) crc = word_taken(table, crc, word(data));
     for (; length > 0; length--, data++) {
         const uint32_t x = crc ^ data[0];
         crc = x >> 8 ^ table[6][x & 15] ^ table[7][x >> 4 & 15];
     }
-    return ~crc;
+    return crc;
 }
 
-uint32_t stopset_crc32(int64_t length, const uint8_t *data) { return checksum(ISO_HDLC, length, data); }
+uint32_t stopset_crc32(int64_t length, const uint8_t *data) { return ~taken(ISO_HDLC, ~0u, length, data); }
 
-uint32_t stopset_crc32c(int64_t length, const uint8_t *data) { return checksum(CASTAGNOLI, length, data); }
+uint32_t stopset_crc32c(int64_t length, const uint8_t *data) { return ~taken(CASTAGNOLI, ~0u, length, data); }
 
 static void put(uint8_t *data, uint32_t x) {
     for (int k = 0; k < 4; k++) data[k] = (uint8_t)(x >> 8 * k);
 }
 
-void stopset_seal(int64_t length, uint8_t *data) {
-    put(data + length, stopset_crc32(length, data));
-    put(data + length + 4, stopset_crc32c(length + 4, data));
+/* Both checksums, not yet inverted, of the bytes before `at`. */
+typedef struct {
+    int64_t at;
+    uint32_t iso, castagnoli;
+} Sums;
+
+/* Written from byte `end` on; what was summed before is not summed again. The two do not wait for each other: word by word, side by side. */
+static void seal(uint8_t *bytes, int64_t end, Sums *s) {
+    for (; s->at + 4 <= end; s->at += 4) {
+        const uint32_t x = word(bytes + s->at);
+        s->iso = word_taken(ISO_HDLC, s->iso, x);
+        s->castagnoli = word_taken(CASTAGNOLI, s->castagnoli, x);
+    }
+    put(bytes + end, ~s->iso);
+    put(bytes + end + 4, ~word_taken(CASTAGNOLI, s->castagnoli, ~s->iso));
 }
 
 static uint32_t float_bits(float x) {
@@ -94,4 +108,12 @@ static uint32_t outward(double x, int side) {
 
 void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *bits) {
     for (int64_t k = 0; k < N; k++) bits[k] = outward(x[k], side[k]);
+}
+
+void stopset_finish(const StopsetMessage *m) {
+    Sums sums = {0, ~0u, ~0u};
+    for (int64_t k = 0; k < m->count; k++) put(m->bytes + m->first + 4 * k, outward(m->numbers[k], m->side[k]));
+    seal(m->bytes, m->check, &sums);
+    if (m->key) stopset_code(m->key, m->code, m->bytes, m->bytes + m->code);
+    seal(m->bytes, m->end, &sums);
 }

@@ -291,6 +291,9 @@ typedef struct {
     double shift, shifted;                           /* [s] least delay seen, and when */
     StopsetFrame *log;                               /* (room,) the last frames, number `frames` - 1 the newest */
     int64_t room;
+    int32_t status;                                  /* the signal that holds the drives' statuswords (CiA 402), -1: none */
+    int32_t out_powered;                             /* as of the cycle given out: no drive says that it is not in operation */
+    uint32_t out_lacks;                              /* bit s set: signal s of some joint is not a number */
 } StopsetDecoder;
 
 /* Frames number `taken` on until one completes a cycle, or is of a service that the caller knows (the last in the log), or none are
@@ -299,16 +302,42 @@ STOPSET_API int stopset_decode(StopsetDecoder *decoder, const StopsetFrame *fram
 /* Whether no node is in a bad state or silent at `now` [s]. */
 STOPSET_API int stopset_nodes_good(const StopsetDecoder *decoder, double now);
 
+/* ---- authenticate.c: who made a message */
+
+#define STOPSET_CODE 16 /* bytes */
+
+/* A secret that was taken in. */
+typedef struct {
+    uint32_t inner[8], outer[8];
+} StopsetKey;
+
+/* Take in a secret (64,), filled up with zeros. */
+STOPSET_API void stopset_key(const uint8_t *secret, StopsetKey *key);
+/* HMAC-SHA256 of `length` bytes, its first STOPSET_CODE bytes. */
+STOPSET_API void stopset_code(const StopsetKey *key, int64_t length, const uint8_t *data, uint8_t *code);
+
 /* ---- message.c: what a message needs */
 
 /* CRC-32 (ISO-HDLC) and CRC-32C (Castagnoli) of `length` bytes. */
 STOPSET_API uint32_t stopset_crc32(int64_t length, const uint8_t *data);
 STOPSET_API uint32_t stopset_crc32c(int64_t length, const uint8_t *data);
-/* Both behind `length` bytes, where there is room for 8 more: CRC-32 of them, then CRC-32C of them and of that. */
-STOPSET_API void stopset_seal(int64_t length, uint8_t *data);
 /* Bits (N,) of the float32 that is not below x (N,) [any] (side 1), not above it (-1) or nearest (0); not a number: +Inf, -Inf, not a
  * number. */
 STOPSET_API void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *bits);
+
+/* A message in the place where all are made, one after another: `count` numbers [any] to be rounded to their `side`, from byte `first`
+ * on; checksums from bytes `check` and `end` on, the code from byte `code` on. */
+typedef struct {
+    uint8_t *bytes;
+    const StopsetKey *key;  /* 0: without a code */
+    const double *numbers;  /* (count,) */
+    const int8_t *side;     /* (count,) as in `stopset_outward` */
+    int64_t count, first, check, code, end;
+} StopsetMessage;
+
+/* All that follows from what stands in the message already: numbers, checksums, code, checksums. Checksums: CRC-32 of all bytes before,
+ * then CRC-32C of these and of that. */
+STOPSET_API void stopset_finish(const StopsetMessage *message);
 
 /* ---- windows.c: envelopes of deviations over all windows of a trial */
 

@@ -23,7 +23,10 @@ class Kind(StrEnum):
 
     @property
     def code(self) -> int:
-        return list(Kind).index(self)
+        return _CODES[self]
+
+
+_CODES = {kind: code for code, kind in enumerate(Kind)}
 
 
 @dataclass(frozen=True, slots=True)

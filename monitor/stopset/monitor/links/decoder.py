@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,13 +24,15 @@ FRAME = np.dtype([("id", "=u4"), ("length", "=i4"), ("data", "u1", 8), ("t", "=f
 BYTES = {"b": 1, "h": 2, "i": 4, "q": 8, "B": 1, "H": 2, "I": 4, "Q": 8, "f": 4, "d": 8, "?": 1}
 
 
-@dataclass(frozen=True, slots=True)
-class Cycle:
-    """All PDOs of one SYNC: its ``counter`` or None, its reception ``t`` [s], SI ``values`` (signals, n), NaN if absent."""
+class Cycle(NamedTuple):
+    """All PDOs of one SYNC: its ``counter`` or None, its reception ``t`` [s], SI ``values`` (signals, n), NaN if absent; bit i of
+    ``lacks`` set: some joint's signal i is, ``powered``: no drive says that it is not in operation."""
 
     counter: int | None
     t: float
     values: Array
+    lacks: int
+    powered: bool
 
 
 @dataclass(slots=True)
@@ -88,6 +90,7 @@ class Decoder:
             "held": pinned.array(np.empty(shape)), "values": pinned.shared(self._values), "came": pinned.array(np.zeros(len(maps)), np.uint8),
             "node": pinned.shared(self.nodes.standing), "heard": pinned.shared(self.nodes.heard), "patience": self.nodes.patience,
             "foreign": -1, "shift": np.inf, "doubtful": self.joined, "log": self._log, "room": self.room,
+            "status": SIGNALS.index("status"),
         })  # fmt: skip
         self._pinned = pinned
 
@@ -133,7 +136,7 @@ class Decoder:
         while what := lib.stopset_decode(s, batch.frames, batch.count, now, batch.taken):
             if what == lib.STOPSET_CYCLE:
                 counter = s.out_counter
-                return Cycle(None if counter < 0 else counter, s.out_t, self._values.copy())
+                return Cycle(None if counter < 0 else counter, s.out_t, self._values.copy(), s.out_lacks, bool(s.out_powered))
             self.nodes.frame(*self._frame(s.frames - 1))
         return None
 
