@@ -11,17 +11,17 @@ from __future__ import annotations
 import hashlib
 import hmac
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from stopset.core.library import ffi, lib
 from stopset.errors import StopsetError
 from stopset.monitor.layout import MAC
 
 KEY_BYTES = 32
-BLOCK = 64  # bytes of SHA-256
 MAX_KEYS = 16
 
 
@@ -29,9 +29,20 @@ class KeyFileError(StopsetError):
     """The key file cannot be used: mend it."""
 
 
-def _block(secret: bytes) -> bytes:
-    """A secret as HMAC takes it in: one block, and of a longer one its hash."""
-    return (hashlib.sha256(secret).digest() if len(secret) > BLOCK else secret).ljust(BLOCK, b"\0")
+def _best_sha256() -> Callable[[bytes], Any]:
+    for name in ("_sha2", "_sha256"):  # since Python 3.12, and before
+        if find_spec(name):
+            own: Callable[[bytes], Any] = import_module(name).sha256
+            return own
+    return hashlib.sha256
+
+
+_SHA256 = _best_sha256()
+
+
+def _sha256(data: bytes = b"") -> Any:
+    """The interpreter's own, where it has one: its states lie in Python's pools. OpenSSL's takes memory of the system for every message."""
+    return _SHA256(data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,20 +51,16 @@ class Key:
 
     key_id: int
     secret: bytes
-    struct: Any = field(
-        init=False, repr=False, compare=False
-    )  # the core's `StopsetKey`: has taken the secret in, once for all messages
+    _begun: hmac.HMAC = field(init=False, compare=False)  # has taken the secret in, once for all messages
 
     def __post_init__(self) -> None:
-        struct = ffi.new("StopsetKey *")
-        lib.stopset_key(_block(self.secret), struct)
-        object.__setattr__(self, "struct", struct)
+        object.__setattr__(self, "_begun", hmac.new(self.secret, digestmod=_sha256))
 
     def code(self, data: bytes | bytearray | memoryview) -> bytes:
         """The authentication code of ``data``."""
-        out = bytearray(MAC)
-        lib.stopset_code(self.struct, len(data), ffi.from_buffer("uint8_t[]", data), ffi.from_buffer("uint8_t[]", out))
-        return bytes(out)
+        one = self._begun.copy()
+        one.update(data)
+        return one.digest()[:MAC]
 
     def __repr__(self) -> str:
         return f"Key({self.key_id}, ...)"  # a secret never gets into a log

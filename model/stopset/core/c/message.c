@@ -1,4 +1,4 @@
-/* What a message needs: numbers rounded to their safe side, both checksums, the code between them.
+/* What a message needs: numbers rounded to their safe side, both checksums.
  *
  * Source: CRC-32/ISO-HDLC and CRC-32C (Castagnoli), both reflected, start and end inverted.
  */
@@ -72,23 +72,6 @@ static void put(uint8_t *data, uint32_t x) {
     for (int k = 0; k < 4; k++) data[k] = (uint8_t)(x >> 8 * k);
 }
 
-/* Both checksums, not yet inverted, of the bytes before `at`. */
-typedef struct {
-    int64_t at;
-    uint32_t iso, castagnoli;
-} Sums;
-
-/* Written from byte `end` on; what was summed before is not summed again. The two do not wait for each other: word by word, side by side. */
-static void seal(uint8_t *bytes, int64_t end, Sums *s) {
-    for (; s->at + 4 <= end; s->at += 4) {
-        const uint32_t x = word(bytes + s->at);
-        s->iso = word_taken(ISO_HDLC, s->iso, x);
-        s->castagnoli = word_taken(CASTAGNOLI, s->castagnoli, x);
-    }
-    put(bytes + end, ~s->iso);
-    put(bytes + end + 4, ~word_taken(CASTAGNOLI, s->castagnoli, ~s->iso));
-}
-
 static uint32_t float_bits(float x) {
     uint32_t bits;
     memcpy(&bits, &x, sizeof bits);
@@ -110,10 +93,18 @@ void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *b
     for (int64_t k = 0; k < N; k++) bits[k] = outward(x[k], side[k]);
 }
 
-void stopset_finish(const StopsetMessage *m) {
-    Sums sums = {0, ~0u, ~0u};
+void stopset_begin(StopsetMessage *m) {
     for (int64_t k = 0; k < m->count; k++) put(m->bytes + m->first + 4 * k, outward(m->numbers[k], m->side[k]));
-    seal(m->bytes, m->check, &sums);
-    if (m->key) stopset_code(m->key, m->code, m->bytes, m->bytes + m->code);
-    seal(m->bytes, m->end, &sums);
+    m->summed = 0;
+    m->iso = m->castagnoli = ~0u;
+}
+
+void stopset_seal(StopsetMessage *m, int64_t end) {
+    for (; m->summed + 4 <= end; m->summed += 4) { /* side by side: neither waits for the other */
+        const uint32_t x = word(m->bytes + m->summed);
+        m->iso = word_taken(ISO_HDLC, m->iso, x);
+        m->castagnoli = word_taken(CASTAGNOLI, m->castagnoli, x);
+    }
+    put(m->bytes + end, ~m->iso);
+    put(m->bytes + end + 4, ~word_taken(CASTAGNOLI, m->castagnoli, ~m->iso));
 }

@@ -302,20 +302,6 @@ STOPSET_API int stopset_decode(StopsetDecoder *decoder, const StopsetFrame *fram
 /* Whether no node is in a bad state or silent at `now` [s]. */
 STOPSET_API int stopset_nodes_good(const StopsetDecoder *decoder, double now);
 
-/* ---- authenticate.c: who made a message */
-
-#define STOPSET_CODE 16 /* bytes */
-
-/* A secret that was taken in. */
-typedef struct {
-    uint32_t inner[8], outer[8];
-} StopsetKey;
-
-/* Take in a secret (64,), filled up with zeros. */
-STOPSET_API void stopset_key(const uint8_t *secret, StopsetKey *key);
-/* HMAC-SHA256 of `length` bytes, its first STOPSET_CODE bytes. */
-STOPSET_API void stopset_code(const StopsetKey *key, int64_t length, const uint8_t *data, uint8_t *code);
-
 /* ---- message.c: what a message needs */
 
 /* CRC-32 (ISO-HDLC) and CRC-32C (Castagnoli) of `length` bytes. */
@@ -325,19 +311,20 @@ STOPSET_API uint32_t stopset_crc32c(int64_t length, const uint8_t *data);
  * number. */
 STOPSET_API void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *bits);
 
-/* A message in the place where all are made, one after another: `count` numbers [any] to be rounded to their `side`, from byte `first`
- * on; checksums from bytes `check` and `end` on, the code from byte `code` on. */
+/* A message in the place where all are made, one after another: `count` numbers [any] to be rounded to their `side`, from byte `first` on. */
 typedef struct {
     uint8_t *bytes;
-    const StopsetKey *key;  /* 0: without a code */
-    const double *numbers;  /* (count,) */
-    const int8_t *side;     /* (count,) as in `stopset_outward` */
-    int64_t count, first, check, code, end;
+    const double *numbers;    /* (count,) */
+    const int8_t *side;       /* (count,) as in `stopset_outward` */
+    int64_t count, first;
+    int64_t summed;           /* bytes that the sums below hold, which are not yet inverted */
+    uint32_t iso, castagnoli;
 } StopsetMessage;
 
-/* All that follows from what stands in the message already: numbers, checksums, code, checksums. Checksums: CRC-32 of all bytes before,
- * then CRC-32C of these and of that. */
-STOPSET_API void stopset_finish(const StopsetMessage *message);
+/* The numbers, into a message of which nothing is summed yet. */
+STOPSET_API void stopset_begin(StopsetMessage *message);
+/* CRC-32 of all bytes before `end`, a multiple of four, then CRC-32C of these and of that; what was summed before is not summed again. */
+STOPSET_API void stopset_seal(StopsetMessage *message, int64_t end);
 
 /* ---- windows.c: envelopes of deviations over all windows of a trial */
 
