@@ -137,6 +137,8 @@ def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -
 
     A level that leaves something unknown at its joint is no change: what is left there is told to resemble it.
     """
+    none = {r.label for r in x.ranked if r.objection}  # what is no finding of these recordings is no change either
+    changed = [c for c in changed if c.label not in none]
     sound = [c for c in changed if _accounts(x, c)]
     refuted = [c for c in changed if c not in sound]
     found = replace(found, unexplained=tuple(_resembling(u, refuted) for u in found.unexplained))

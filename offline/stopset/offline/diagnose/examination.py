@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
@@ -144,7 +146,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
-        objections.append(objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim))
+        why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
+        objections.append(why or _of_any_position(engine, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
@@ -175,6 +178,26 @@ def _of_another_joint(engine: Engine, claim: Claim) -> str:
     others = [engine.data.joints[s.candidate.joints[0]] for s in claim.rivals if s.candidate.effect is c.effect]
     which = ", ".join(dict.fromkeys(others))
     return f"a soft gear at {which} explains nearly as much, and both swing faster than was looked for" if others else ""
+
+
+def _of_any_position(engine: Engine, claim: Claim) -> str:
+    """Why a constant torque is no finding where its joint moved so little that any law of the position is all but constant.
+
+    One that rests a radian away varies over `TRAVEL` by no more than a law's form may be off and still be as likely.
+    """
+    c = claim.scored.candidate
+    if len(c.joints) != 1 or c.effect.enters != "compensation" or "stiff" in c.effect.needs:
+        return ""
+    j = c.joints[0]
+    rows = engine.rows[j]
+    torque = rows.plain(engine.columns(c.effect, c.joints, c.shapes)[j][0] @ claim.scored.theta)
+    travel = float(np.ptp(rows.plain(engine.data.q[:, j])))
+    if travel >= limit.TRAVEL or float(np.ptp(torque)) > limit.EDGE * float(np.abs(torque).max(initial=0.0)):
+        return ""
+    return (
+        f"its joint moved by {travel:.2g} rad only: a spring, a cable pack, a gas spring and friction that differs between the directions look "
+        "alike there"
+    )
 
 
 def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:

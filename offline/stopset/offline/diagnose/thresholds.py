@@ -33,6 +33,7 @@ BEGINNINGS = 12  # rows
 AT_REST = 0.04  # [rad/s]
 ACCELERATED = 0.01  # of the square of what the joints accelerate at
 DROWNED = 0.1  # of an acceleration's whitened sum of squares
+TRAVEL = 0.2  # [rad]
 FEWEST_ROWS = 50
 RIPPLE_SEPARATION = 4.0  # [cycles per turn]
 
@@ -194,6 +195,10 @@ SETTLED = (
     Threshold("DROWNED", "share of the position's noise in a joint's acceleration from which on no inertia is told from it", "%",
               "it makes an inertia wrong by about that share, and a data sheet's is off by 10 to 30 %. Motions at the usual speed: below 1 %; at "
               "0.06 of the limits 27 to 100 % before more is smoothed: a rotor was named there that would leave its motor a quarter of its inertia"),
+    Threshold("TRAVEL", "movement of a joint below which no constant torque is told from a law of the position", "rad",
+              "a form that is 2 % off may bend by 10 % to either side within a claim's evidence: as much as what rests a radian away does over "
+              "0.2 rad. Joints had moved by 0.025 and 0.11 rad where a cable pack and a gas spring were named as friction that differs between "
+              "the directions"),
     Threshold("FEWEST_ROWS", "moving rows of a joint from which on it is asked at all", "",
               "chosen"),
     Threshold("RIPPLE_SEPARATION", "ripples of one joint that count as different", "cycles per turn",
