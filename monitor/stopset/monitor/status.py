@@ -21,6 +21,11 @@ _LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NO
     )
 )  # fmt: skip
 _DOUBTFUL = _OUTSIDE | _STALE | _NODE
+_OK, _DEGRADED, _UNKNOWN = (
+    State.OK,
+    State.DEGRADED,
+    State.UNKNOWN,
+)  # Python 3.11 calls a function for every look into an enumeration
 SLEWED = 1e-3  # [s] from one turn to the next: more was set, not brought nearer
 
 
@@ -117,7 +122,7 @@ def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
         if unproven is None:
             return State.DEGRADED, flags, "no stop is bounded"
         return State.DEGRADED, flags, f"STOP {unproven}: {s.numbers[unproven].why}"
-    return State.OK, flags, v.why
+    return _OK, flags, v.why
 
 
 @dataclass(slots=True)
@@ -150,16 +155,16 @@ class Recovery:
         if moved > SLEWED:
             self._bad, self._why_bad = now, f"the clock was set by {moved * 1e3:.0f} ms or more"
         self._turn, self._ahead = now, ahead
-        if state is not State.OK and state is not State.DEGRADED:
+        if state is not _OK and state is not _DEGRADED:
             self._bad, self._why_bad = now, why
             return state, 0, why
-        if state is State.DEGRADED:
+        if state is _DEGRADED:
             self._degraded, self._why_degraded = now, why
         need = self.limits.recover
         if now - self._bad < need or self._bad == now:  # a break is told once at least: consumers rely on it
-            return State.UNKNOWN, _RECOVERING, self._wait(now - self._bad, self._why_bad)
-        if state is State.OK and now - self._degraded < need:
-            return State.DEGRADED, _RECOVERING, self._wait(now - self._degraded, self._why_degraded)
+            return _UNKNOWN, _RECOVERING, self._wait(now - self._bad, self._why_bad)
+        if state is _OK and now - self._degraded < need:
+            return _DEGRADED, _RECOVERING, self._wait(now - self._degraded, self._why_degraded)
         return state, 0, why
 
     def _wait(self, passed: float, why: str) -> str:
@@ -169,7 +174,7 @@ class Recovery:
 def believable(state: State, flags: int) -> bool:
     """Whether stop numbers may be given at all: not for a refuted model, nor outside its domain, without a signal, or
     against what the drives say."""
-    return not flags & _DOUBTFUL and (state is State.OK or state is State.DEGRADED or state is State.UNKNOWN)
+    return not flags & _DOUBTFUL and (state is _OK or state is _DEGRADED or state is _UNKNOWN)
 
 
 def stop_fields(prefix: str, x: Numbers) -> dict[str, object]:
