@@ -205,6 +205,14 @@ def test_a_programmed_motion_that_turns_round_within_the_ramp_is_left_there() ->
         assert same(bounds, core, q, dq, "1")
 
 
+def test_a_joint_that_may_go_either_way_has_the_ramps_of_every_speed_between() -> None:
+    """Of a fixed deceleration the slowest speed is braked first, whatever its direction, and has most left of its pace."""
+    bounds, core = with_ramp(braked(8.0), kind="deceleration", value=Box.of(np.full(4, 3.0), np.full(4, 3.6)), pace=(-8.0, 0.7))
+    for q, dq in states(bounds.model, 4, 5, 0.2):
+        dq[:2] *= 1e-3
+        assert same(bounds, core, q, dq, "1", 1e-3)
+
+
 def test_brakes_that_cannot_hold_the_arm_where_it_is_or_comes_to_prove_nothing() -> None:
     model, held = braked(8.0, effort="motor_torque"), set()
     assert model.brakes is not None

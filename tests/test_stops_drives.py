@@ -6,6 +6,7 @@ import itertools
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -216,3 +217,38 @@ def test_a_drive_that_gives_less_than_it_tells_has_less_for_a_ramp() -> None:
     assert asked(limited(1.2 * need, -0.3)) == ("", True) and not asked(limited(0.9 * need, -0.3))[1]
     told = StopBounds.of(limited(1.2 * need, 0.5)).setting
     assert told is not None and any("less than its limit for a ramp: torque_gain" in a for a in told.assumptions)
+
+
+@pytest.mark.parametrize("kind", ["time", "deceleration"])
+def test_a_ramp_of_a_motion_that_changes_its_speed_is_at_no_time_slower_or_faster_than_its_tube(
+    kind: Literal["time", "deceleration"],
+) -> None:
+    """Starts, values, paces and speeds anywhere in what is known as ranges: a late start of a motion that gets slower, ramped quickly, has less
+    speed left than a late start and a gentle ramp have, or an early start and a quick one."""
+    rng, worst = np.random.default_rng(0), 0.0
+    for _ in range(150):
+        top = 10.0 * rng.random()
+        pace = np.array([-top, top]) if rng.random() < 0.5 else np.sort(rng.uniform(-top, top, 2))
+        control, size, v = (
+            np.sort(rng.uniform(*x, 2)) for x in ((0.0, 0.1), (0.1, 0.6) if kind == "time" else (1.0, 8.0), (-1.0, 2.0))
+        )
+        ramp = Ramp(
+            kind,
+            Box.of(*size[:, None]),
+            Box.of(*control[:, None]),
+            np.zeros(1),
+            np.zeros(1),
+            pace=(float(pace[0]), float(pace[1])),
+        )
+        tube = ramp_tube(ramp, v[:1], v[1:])
+        t = np.linspace(0.0, tube.t[-1], 700)[:, None]
+        step = np.clip(np.searchsorted(tube.t, t[:, 0], side="right") - 1, 0, len(tube.t) - 2)
+        p, begin, value, w = (
+            np.where(rng.random(60) < 0.5, rng.choice(x, 60), rng.uniform(*x, 60)) for x in (pace, control, size, v)
+        )
+        lasts = value if kind == "time" else np.abs(w) / value
+        s = np.clip((t - begin) / lasts, 0.0, 1.0)
+        share = np.maximum(1.0 + p * (np.minimum(t, begin) + lasts * (s - 0.5 * s * s)), 0.0)
+        speed = w * (1.0 - s) * share
+        worst = max(worst, float(np.max(speed - tube.e_hi[step])), float(np.max(tube.e_lo[step] - speed)))
+    assert worst <= 1e-12

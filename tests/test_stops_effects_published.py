@@ -40,6 +40,13 @@ def test_no_stop_of_an_arm_with_effects_contradicts_a_number(name: str) -> None:
     assert wrong == []
 
 
+def test_friction_harder_one_way_than_a_joint_has_friction_drives_it_in_no_direction() -> None:
+    """Neither the bound's (Lemma 2) nor that of the arms it is held against."""
+    skewed = replace(CASES["asymmetric_coulomb"][0], values={"F_o": -60.0})
+    bounded, _, wrong = run((skewed,), 7, 3, 11)
+    assert bounded == 7 and wrong == []
+
+
 @pytest.mark.parametrize("name", BLIND)
 def test_numbers_that_do_not_know_an_effect_are_contradicted(name: str) -> None:
     """Of ramps that fail and in other categories than STOP 0, too."""

@@ -161,9 +161,17 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     # a motion that gets faster does so until the ramp begins: that moment is a knot
     t = np.linspace(0.0, end, KNOTS + 1)
     t = np.sort(np.r_[t, np.setdiff1d(ramp.control.hi, t)])
-    curves = [_curve(ramp, v, t, pace, slow=slow) for v in (v_lo, v_hi) for slow in (True, False) for pace in ramp.pace]
-    d = np.array([c[0] for c in curves])
-    v = np.array([c[1] for c in curves])
+    curves = [_curve(ramp, v, t, slow=slow) for v in (v_lo, v_hi) for slow in (True, False)]
+    run, braked = (np.array([c[k] for c in curves]) for k in range(2))
+    d = np.array([v * _moved(x, pace) for x, v in zip(run, (v_lo, v_lo, v_hi, v_hi), strict=True) for pace in ramp.pace])
+    least, most = run.min(axis=0), run.max(axis=0)
+    if (
+        ramp.kind == "deceleration"
+    ):  # between a speed one way and one the other way lies one that is no sooner to brake than at rest
+        least = np.where((v_lo < 0.0) & (v_hi > 0.0), np.minimum(t[:, None], ramp.control.lo), least)
+    # what a ramp leaves of a speed and what a pace makes of it: a late ramp with a motion that gets slower has less than any of both ends
+    share = np.maximum(np.array([1.0 + pace * x for pace in ramp.pace for x in (least, most)]), 0.0)
+    v = np.array([a * b for a in (braked.min(axis=0), braked.max(axis=0)) for b in (share.min(axis=0), share.max(axis=0))])
     # tracking errors exist from the request on; the first knot is exact
     after = (t > 0)[:, None]
     # between knots a speed that bends leaves its chord by an eighth of its second derivative times the step squared
@@ -181,17 +189,20 @@ def _shortest(ramp: Ramp, fast: Array) -> Array:
     return ramp.value.lo if ramp.kind == "time" else fast / ramp.value.hi
 
 
-def _curve(ramp: Ramp, v: Array, t: Array, pace: float, *, slow: bool) -> tuple[Array, Array]:
-    """Displacement and speed (T, n) of one corner: latest start and gentlest ramp, or the opposite."""
+def _curve(ramp: Ramp, v: Array, t: Array, *, slow: bool) -> tuple[Array, Array]:
+    """Of one corner, latest start and gentlest ramp or the opposite, (T, n) each: time of the programmed motion that was run through [s], and
+    what is left of the speed ``v`` (n,) [rad/s] without any pace."""
     begin = ramp.control.hi if slow else ramp.control.lo
     gentle = ramp.value.hi if slow == (ramp.kind == "time") else ramp.value.lo
     lasts = gentle if ramp.kind == "time" else np.abs(v) / gentle
     s = np.clip((t[:, None] - begin) / np.maximum(lasts, 1e-12), 0.0, 1.0)
-    held = np.minimum(t[:, None], begin)
-    path_time = held + lasts * (s - 0.5 * s * s)  # [s] of the programmed motion that were run through
-    share = 1.0 + pace * path_time
-    moved = np.where(share > 0.0, path_time + 0.5 * pace * path_time * path_time, -0.5 / min(pace, -1e-12))
-    return v * moved, v * (1.0 - s) * np.maximum(share, 0.0)
+    return np.minimum(t[:, None], begin) + lasts * (s - 0.5 * s * s), v * (1.0 - s)
+
+
+def _moved(path_time: Array, pace: float) -> Array:
+    """Displacement per speed [s] of a motion that gets faster by ``pace`` [1/s], or slower until it rests."""
+    here = path_time + 0.5 * pace * path_time * path_time
+    return np.where(1.0 + pace * path_time > 0.0, here, -0.5 / min(pace, -1e-12))
 
 
 def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array | None:

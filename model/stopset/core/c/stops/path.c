@@ -11,7 +11,7 @@
 
 #include "bound.h"
 
-enum { ROUGH = 20, GRID = 60, LONGEST = 4, DENSE = 4, EARLY = 60, BANDS = 120, MOST_STEPS = LONGEST * GRID, POSES = EARLY + MOST_STEPS * DENSE + 1 };
+enum { ROUGH = 20, GRID = 60, LONGEST = 4, DENSE = 4, EARLY = 60, BANDS = 60, MOST_STEPS = LONGEST * GRID, POSES = EARLY + MOST_STEPS * DENSE + 1 };
 static const double RESERVE = 0.02; /* share of the torque kept for what happens between the knots */
 static const double HAIR = 1e-12;   /* of evaluating a cubic, relative */
 static const double SHORT = 1e-7;   /* of the path that is left: no grid is for less */

@@ -13,19 +13,56 @@ enum { FEW_SLICES = 4, SLICES = 8 }; /* by when a monitored ramp is left: where 
 
 static double clip(double x, double lo, double hi) { return x < lo ? lo : x > hi ? hi : x; }
 
+/* Of joint i at t from speed v, [s] of the programmed motion that were run through and what is left of the speed without any pace: latest
+ * start and gentlest ramp, or the opposite. */
 typedef struct {
-    double travel, speed;
+    double run, speed;
 } Motion;
 
-/* Of joint i at t from speed v: latest start and gentlest ramp, or the opposite. */
-static Motion curve(const StopsetRamp *r, int i, double v, double t, int slow, double pace) {
+static Motion curve(const StopsetRamp *r, int i, double v, double t, int slow) {
     const double begin = slow ? r->control_hi[i] : r->control_lo[i], gentle = slow == (r->timed != 0) ? r->value_hi[i] : r->value_lo[i];
     const double lasts = r->timed ? gentle : size_of(v) / gentle;
     const double s = clip((t - begin) / most(lasts, 1e-12), 0.0, 1.0);
-    const double path_time = least(t, begin) + lasts * (s - 0.5 * s * s); /* [s] of the programmed motion that were run through */
-    const double share = 1.0 + pace * path_time;
-    const Motion out = {v * (share > 0.0 ? path_time + 0.5 * pace * path_time * path_time : -0.5 / least(pace, -1e-12)),
-                        v * (1.0 - s) * most(share, 0.0)};
+    const Motion out = {least(t, begin) + lasts * (s - 0.5 * s * s), v * (1.0 - s)};
+    return out;
+}
+
+/* [s] Displacement per speed of a motion that gets faster by its pace, or slower until it rests. */
+static double moved(double run, double pace) { return 1.0 + pace * run > 0.0 ? run + 0.5 * pace * run * run : -0.5 / least(pace, -1e-12); }
+
+/* Displacements and speeds of joint i at t, tracking errors apart. */
+typedef struct {
+    double d_lo, d_hi, v_lo, v_hi;
+} Reach;
+
+static Reach reach_of(const StopsetRamp *r, int i, const double v[2], double t) {
+    Reach out = {STOPS_INF, -STOPS_INF, STOPS_INF, -STOPS_INF};
+    double speed[2] = {STOPS_INF, -STOPS_INF}, run[2] = {STOPS_INF, -STOPS_INF}, share[2] = {STOPS_INF, 0.0};
+    for (int corner = 0; corner < 4; corner++) {
+        const Motion m = curve(r, i, v[corner / 2], t, corner % 2 == 0);
+        run[0] = least(run[0], m.run);
+        run[1] = most(run[1], m.run);
+        speed[0] = least(speed[0], m.speed);
+        speed[1] = most(speed[1], m.speed);
+        for (int side = 0; side < 2; side++) {
+            const double d = v[corner / 2] * moved(m.run, r->pace[side]);
+            out.d_lo = least(out.d_lo, d);
+            out.d_hi = most(out.d_hi, d);
+        }
+    }
+    /* between a speed one way and one the other way lies one that is no sooner to brake than at rest */
+    if (!r->timed && v[0] < 0.0 && v[1] > 0.0) run[0] = least(t, r->control_lo[i]);
+    /* what a ramp leaves of a speed and what a pace makes of it: a late ramp with a motion that gets slower has less than any of both ends */
+    for (int corner = 0; corner < 4; corner++) {
+        const double x = most(1.0 + r->pace[corner / 2] * run[corner % 2], 0.0);
+        share[0] = least(share[0], x);
+        share[1] = most(share[1], x);
+    }
+    for (int corner = 0; corner < 4; corner++) {
+        const double w = speed[corner / 2] * share[corner % 2];
+        out.v_lo = least(out.v_lo, w);
+        out.v_hi = most(out.v_hi, w);
+    }
     return out;
 }
 
@@ -61,19 +98,12 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
         fastest[i] = 0.0;
         for (int64_t k = 0; k <= a->made; k++) {
             const int64_t at = k * n + i;
-            double d_lo = STOPS_INF, d_hi = -STOPS_INF, w_lo = STOPS_INF, w_hi = -STOPS_INF;
-            for (int corner = 0; corner < 8; corner++) {
-                const Motion at_corner = curve(r, i, v[corner / 4], tube->t[k], corner / 2 % 2 == 0, r->pace[corner % 2]);
-                d_lo = least(d_lo, at_corner.travel);
-                d_hi = most(d_hi, at_corner.travel);
-                w_lo = least(w_lo, at_corner.speed);
-                w_hi = most(w_hi, at_corner.speed);
-            }
+            const Reach here = reach_of(r, i, v, tube->t[k]);
             /* tracking errors exist from the request on; the first knot is exact */
-            tube->d_lo[at] = k ? d_lo - r->q_error[i] : d_lo;
-            tube->d_hi[at] = k ? d_hi + r->q_error[i] : d_hi;
-            tube->v_lo[at] = w_lo - r->dq_error[i] - bend;
-            tube->v_hi[at] = w_hi + r->dq_error[i] + bend;
+            tube->d_lo[at] = k ? here.d_lo - r->q_error[i] : here.d_lo;
+            tube->d_hi[at] = k ? here.d_hi + r->q_error[i] : here.d_hi;
+            tube->v_lo[at] = here.v_lo - r->dq_error[i] - bend;
+            tube->v_hi[at] = here.v_hi + r->dq_error[i] + bend;
             tube->travel_left[at] = STOPS_INF; /* no brakes' work bounds a ramp */
             fastest[i] = most(fastest[i], most(size_of(tube->v_lo[at]), size_of(tube->v_hi[at])));
         }
