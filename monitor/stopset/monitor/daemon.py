@@ -172,11 +172,10 @@ class Daemon:
     def _heed(self) -> None:
         """What drives say once is kept before anything else happens."""
         if (drives := drives_of(self.source)) is not None:
-            if (
-                drives.in_force and drives.in_force.items() - self.latch.record.emergencies.items()
-            ):  # another of the same drive is one too
+            heard = drives.in_force
+            if heard and heard.items() - self.latch.record.emergencies.items():  # another of the same drive is one too
                 self.clearing.emergency()
-            self.latch.hear(drives.in_force)
+            self.latch.hear(heard)
 
     def _remind(self) -> None:
         """A source that was just opened has not heard what drives said before."""
