@@ -510,13 +510,27 @@ def test_the_time_of_a_path_stop_is_that_of_its_drives() -> None:
         assert 0.999 * found <= told <= 1.02 * found
 
 
-@pytest.mark.parametrize(("weak", "begin", "late"), [({"joint_2": 72.0}, 0.3, 0.6), ({"joint_3": 27.0}, 0.45, 0.4)])
-def test_where_an_early_ramp_is_not_surely_braked_there_is_no_time(weak: dict[str, float], begin: float, late: float) -> None:
-    """The drive that brakes, or another that has to hold its joint meanwhile, is strong enough only where the latest ramp begins."""
-    path, bounds = Path.through(LOWERED), arm_of(**weak)
+@pytest.mark.parametrize(
+    ("weak", "held", "begin", "late"),
+    [({"joint_2": 72.0}, 0.0, 0.3, 0.6), ({"joint_3": 27.0}, 0.0, 0.45, 0.4), ({"joint_2": 90.0, "joint_3": 24.0}, 2.2, 0.3, 0.4)],
+)
+def test_where_an_early_ramp_is_not_surely_braked_there_is_no_time(
+    weak: dict[str, float], held: float, begin: float, late: float
+) -> None:
+    """The drive that brakes, or another that has to hold its joint meanwhile, is strong enough only where the latest ramp begins; or the one lets it
+    brake no harder than the other needs it to."""
+    path, bounds = Path.through(LOWERED + [0.0, 0.0, held, 0.0, 0.0, 0.0]), arm_of(**weak)
     with pytest.raises(NotCovered, match="cannot stop within"):
         path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=late)), path, begin, 0.6)
     assert path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=0.0)), path, begin + 0.6 * late, 0.6).bound.certified
+
+
+def test_a_motion_that_may_rest_before_any_ramp_begins_takes_no_longer_than_told() -> None:
+    """Its pace may be such that it has come to rest by then, or that it goes on as fast."""
+    late = replace(Ramp.stated(6, time=0.3, control=0.3), control=Box(np.full(6, 0.3), np.full(6, 0.3)), pace=(-5.0, 0.0))
+    bounds = replace(arm_of(joint_2=74.0), ramp=late)
+    told = path_stop(bounds, Path.through(LOWERED), 0.3, 0.6)
+    assert told.bound.certified and told.time >= max(led_to_rest(bounds, 0.3, rate, 0.3) for rate in (0.05, 0.3, 0.6))
 
 
 def test_where_an_effect_leaves_an_early_ramp_nothing_there_is_no_time() -> None:

@@ -181,7 +181,7 @@ static int brake(const Task *t, double begin, double rate, double step, const do
         const double x = out->x[k], s = begin + (k + 1) * step, whole = -x / (2.0 * step);
         lines_at(t, least(s, last), both + (k + 1) % 2);
         const Allowed a = allowed(t, both + k % 2, both + (k + 1) % 2, x, step, room);
-        if (!(a.lo <= a.hi)) return 0;
+        if (!(a.lo <= least(a.hi, 0.0))) return 0; /* torques contradict each other, or let it run on faster */
         out->made = k + 1;
         if (a.lo <= whole) {
             out->x[k + 1] = 0.0;
@@ -225,7 +225,8 @@ static double hardest(const Task *t, const Lines *at, double x, const double roo
     return out;
 }
 
-/* Rates of the stop that is over first, (GRID + 1,): from the first place and the slowest rate at which a ramp can begin, as hard as drives can brake at all. */
+/* Rates of the stop that is over first, (GRID + 1,): from the first place and the slowest rate at which a ramp can begin, as hard as drives can brake at all.
+ * At the last place all are over, whatever rounding leaves there: below any rate. */
 static void soonest(const Task *t, const Lines *at, double step, double rate, const double room[SN], double x[GRID + 1]) {
     double strong[SN];
     for (int i = 0; i < t->n; i++) strong[i] = 2.0 * t->ramp->limit[i] - room[i]; /* friction helps to brake */
@@ -234,6 +235,7 @@ static void soonest(const Task *t, const Lines *at, double step, double rate, co
         const double u = least(hardest(t, at + k, x[k], strong), hardest(t, at + k + 1, x[k], strong));
         x[k + 1] = most(least(x[k] + 2.0 * step * u, x[k]), 0.0);
     }
+    x[GRID] = -1.0;
 }
 
 /* The least deceleration that the torques surely allow at knots from to to and rates of which x is one of two; the less, the longer it takes. */
@@ -254,19 +256,18 @@ static double surely(const Task *t, const Lines *at, int from, int to, const dou
  * longer than that one though it ends before it: so each band of rates lasts as long as the weakest place between these two makes it. */
 static double longest(const Task *t, double first, double slowest, double begin, double control, const Profile *f) {
     const double last = t->path->knots[t->path->pieces], end = least(begin + f->made * f->step, last), step = (end - first) / GRID;
-    const double quick = sqrt(f->x[0]);
-    double room[SN], x[GRID + 1], out = control, top = quick;
+    const double top = sqrt(f->x[0]);
+    double room[SN], x[GRID + 1], out = control;
     int from = 0, to = 0;
     Lines at[GRID + 1];
-    for (int k = 0; k <= f->made; k++) top = most(top, sqrt(f->x[k]));
     if (room_of(t, first, end, top, room) >= 0) return STOPS_INF;
     for (int k = 0; k <= GRID; k++) lines_at(t, least(first + k * step, last), at + k);
     soonest(t, at, step, slowest, room, x);
     for (int band = 0; band < BANDS; band++) {
         const double rate[2] = {top * (BANDS - band) / BANDS, top * (BANDS - band - 1) / BANDS}, ends[2] = {rate[0] * rate[0], rate[1] * rate[1]};
-        while (from < GRID && x[from + 1] >= ends[0]) from++;
+        while (x[from + 1] >= ends[0]) from++;
         int knot = f->made; /* the last at which the latest stop is as fast */
-        while (knot > 0 && f->x[knot - 1] < ends[1]) knot--;
+        while (f->x[knot - 1] < ends[1]) knot--;
         to = (int)least((begin + knot * f->step - first) / step, GRID - 1) + 1;
         const double u = surely(t, at, least(from, to), to, ends, room);
         if (!(u > 0.0)) return STOPS_INF;
