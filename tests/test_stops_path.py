@@ -512,14 +512,18 @@ def test_the_time_of_a_path_stop_is_that_of_its_drives() -> None:
 
 @pytest.mark.parametrize(
     ("weak", "held", "begin", "late"),
-    [({"joint_2": 72.0}, 0.0, 0.3, 0.6), ({"joint_3": 27.0}, 0.0, 0.45, 0.4), ({"joint_2": 90.0, "joint_3": 24.0}, 2.2, 0.3, 0.4)],
+    [
+        ({"joint_2": 72.0}, 0.0, 0.3, 0.6),
+        ({"joint_3": 27.0}, 0.0, 0.45, 0.4),
+        ({"joint_2": 90.0, "joint_3": 24.0}, 2.2, 0.3, 0.4),
+    ],
 )
 def test_where_an_early_ramp_is_not_surely_braked_there_is_no_time(
     weak: dict[str, float], held: float, begin: float, late: float
 ) -> None:
     """The drive that brakes, or another that has to hold its joint meanwhile, is strong enough only where the latest ramp begins; or the one lets it
     brake no harder than the other needs it to."""
-    path, bounds = Path.through(LOWERED + [0.0, 0.0, held, 0.0, 0.0, 0.0]), arm_of(**weak)
+    path, bounds = Path.through(LOWERED + held * np.eye(6)[2]), arm_of(**weak)
     with pytest.raises(NotCovered, match="cannot stop within"):
         path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=late)), path, begin, 0.6)
     assert path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=0.0)), path, begin + 0.6 * late, 0.6).bound.certified
