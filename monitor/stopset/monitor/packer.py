@@ -97,7 +97,7 @@ class Packer:
         self._floats[_WORDS] = outward_all(self._real, _UP)
 
     def _finish(self) -> bytes:
-        lib.stopset_begin(self._message)
+        lib.stopset_message(self._message)
         lib.stopset_seal(self._message, AT[CHECKED[0][0]])
         if self.key is not None:
             self._bytes[_MAC] = self.key.code(self._signed)

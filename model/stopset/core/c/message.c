@@ -93,7 +93,7 @@ void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *b
     for (int64_t k = 0; k < N; k++) bits[k] = outward(x[k], side[k]);
 }
 
-void stopset_begin(StopsetMessage *m) {
+void stopset_message(StopsetMessage *m) {
     for (int64_t k = 0; k < m->count; k++) put(m->bytes + m->first + 4 * k, outward(m->numbers[k], m->side[k]));
     m->summed = 0;
     m->iso = m->castagnoli = ~0u;

@@ -322,7 +322,7 @@ typedef struct {
 } StopsetMessage;
 
 /* The numbers, into a message of which nothing is summed yet. */
-STOPSET_API void stopset_begin(StopsetMessage *message);
+STOPSET_API void stopset_message(StopsetMessage *message);
 /* CRC-32 of all bytes before `end`, a multiple of four, then CRC-32C of these and of that; what was summed before is not summed again. */
 STOPSET_API void stopset_seal(StopsetMessage *message, int64_t end);
 
