@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from monitor_arm import known_model
 from stopset.monitor.jointstate import JointState, to_json
-from stopset.monitor.pace import ANOTHER, LEAST, MOST, Pace
+from stopset.monitor.pace import ANOTHER, LEAST, LONG, MOST, Pace
 from stopset.monitor.source import JointStateSource
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from monitor_pace import stamps
 
 PERIOD, START = 0.01, 1.7e9
 JOINTS = known_model().joints
 
 
-def paced(stamps: list[float], period: float = PERIOD) -> list[str]:
+def paced(times: list[float], period: float = PERIOD) -> list[str]:
     """What is said after each sample of a sender of ``joint_states`` with these stamps [s]."""
     source, pace, said = JointStateSource(JOINTS, period), Pace(period), []
-    for t in stamps:
+    for t in times:
         source.take("", to_json(JointState(round(t * 1e9), JOINTS, (0.1,) * 6, (0.0,) * 6, (0.0,) * 6)))
         if (sample := source.next(0.0)) is not None:
             pace.take(sample.t)
@@ -47,12 +52,12 @@ def test_a_sender_that_scatters_is_known_too() -> None:
 def test_what_scatters_is_lost_or_held_up_is_no_other_cycle(scatter: float, lost: float, held_up: float) -> None:
     said = 0
     for seed in range(5):
-        rng, late, stamps = np.random.default_rng(seed), 0.0, []
+        rng, late, times = np.random.default_rng(seed), 0.0, []
         for k in range(2000):
             late += rng.uniform(0.0, PERIOD) if rng.random() < held_up else 0.0  # and what follows is late by as much
             if rng.random() >= lost:
-                stamps.append(START + PERIOD * k + late + rng.normal(0.0, scatter))
-        said += sum(bool(why) for why in paced(stamps))
+                times.append(START + PERIOD * k + late + rng.normal(0.0, scatter))
+        said += sum(bool(why) for why in paced(times))
     assert said <= 0.001 * 5 * 2000, said
 
 
@@ -81,3 +86,15 @@ def test_making_up_for_a_pause_does_not_make_another_cycle_good(before: int) -> 
         pace.take(t)
         said.append(pace.fault)
     assert all(said) and sum("samples come every 4.2 ms" in why for why in said) > 400
+
+
+@pytest.mark.parametrize("held_up", [0.0, 0.03])
+def test_stamps_that_scatter_by_a_quarter_of_a_cycle_hide_another_one_for_seconds_and_not_for_ever(held_up: float) -> None:
+    """5 % too slow, each stamp late by some 1 ms: of 128 intervals none is surely another cycle's. And one that is set right is good again."""
+    slow, right = stamps(0.0042, 1e-3, held_up, 6000), stamps(0.004, 1e-3, 0.0, 3000)
+    pace, said = Pace(0.004), []
+    for t in [*slow, *(slow[-1] + right)]:
+        pace.take(START + t)
+        said.append(pace.fault)
+    assert all(why.startswith("samples come every 4.") for why in said[LONG // 2 : len(slow)])
+    assert not any(said[len(slow) + LONG :])

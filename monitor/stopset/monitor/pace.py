@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 LEAST, MOST = 32, 128  # intervals that the pace is found from
+LONG, LOOK = 2048, 64  # and where stamps scatter too much for so few: so many, looked at once in so many samples
 ANOTHER = 0.02  # of the period: farther off is no clock's error but another cycle
 SURE = 4.0  # standard errors of the middle interval, where stamps scatter
 NOT_YET = f"whether samples come at the model's steps is told from {LEAST} intervals; they have not come yet"
@@ -25,7 +26,9 @@ class Pace:
     period: float
     why: str = ""
     _was_good: bool = False  # when it was looked at last
-    _stamps: deque[float] = field(default_factory=lambda: deque(maxlen=MOST + 1))
+    _stamps: deque[float] = field(default_factory=lambda: deque(maxlen=LONG + 1))
+    _long_why: str = ""
+    _looks: int = 0
 
     @property
     def fault(self) -> str:
@@ -36,18 +39,26 @@ class Pace:
         """A sample stamped ``t`` [s]."""
         stamps = self._stamps
         stamps.append(t)
-        intervals = len(stamps) - 1
+        intervals = min(len(stamps) - 1, MOST)
         if intervals < LEAST:
             return
         # a good bus has the right mean, which is found in no time; so may one of another cycle that has just made up for a pause
-        mean = (t - stamps[0]) / intervals
+        mean = (t - stamps[-1 - intervals]) / intervals
         if not (self._was_good and abs(mean - self.period) <= ANOTHER * self.period):
             self.why = self._looked_at()
             self._was_good = not self.why
 
     def _looked_at(self) -> str:
+        """By the last intervals, which are soon others; and by many, whose middle is surer: either may see another cycle."""
+        stamps = list(self._stamps)
+        if self._looks % LOOK == 0:
+            self._long_why = self._said(stamps)
+        self._looks += 1
+        return self._said(stamps[-1 - MOST :]) or self._long_why
+
+    def _said(self, stamps: list[float]) -> str:
         """By the middle interval, which lost samples and those held up do not move."""
-        intervals = [b - a for a, b in pairwise(self._stamps)]
+        intervals = [b - a for a, b in pairwise(stamps)]
         near = _middle(intervals)
         intervals = [x for x in intervals if abs(x - near) <= 0.5 * near] or [near]
         seen = _middle(intervals)
