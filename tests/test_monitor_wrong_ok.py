@@ -7,6 +7,7 @@ import contextlib
 import itertools
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -283,7 +284,8 @@ def test_a_bus_of_another_cycle_than_the_model_s_is_no_ok_and_said(cell: Cell, t
     """Five per cent slower: its SYNC counter goes on by one all the same, and stamps look like lost ones."""
 
     def says_so(ear: Ear) -> bool:
-        return "samples come every 4.2" in ear.twins[-1]["why"] and "identified at steps of 4 ms" in ear.twins[-1]["why"]
+        seen = re.search(r"samples come every (\S+) ms.*identified at steps of 4 ms", ear.twins[-1]["why"])
+        return seen is not None and abs(float(seen[1]) - 4.2) < 0.05  # as a busy machine lets it be seen
 
     if through == "joint_states":
         text, source = cell.config.read_text(), f'[bus]\nlink = "hub:{cell.bus}"'
