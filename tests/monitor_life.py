@@ -24,6 +24,7 @@ import stopset.monitor.service  # noqa: F401 - whatever the daemon has imported 
 from monitor_arm import DT, known_model, motion
 from stopset.artifact import load_model, save_model
 from stopset.errors import BusError, NotCovered
+from stopset.monitor.clearing import REACTION
 from stopset.monitor.config import Bus, Config, Publish, Records, Stops
 from stopset.monitor.daemon import Beside, Daemon
 from stopset.monitor.evidence.overheard import Overheard
@@ -134,6 +135,7 @@ class Life:
         self.recorder.turn(last=True)
         self.k += 2000  # nothing is predicted across so long a gap
         self.live(*self.samples(5))
+        time.sleep(REACTION)  # nobody orders sooner
         self.wire.handlers["reset"]("reset", b'{"name": "A. Person", "reason": "seen"}')
         self.live(*self.samples(5))
         assert not self.daemon.latch.latched

@@ -22,6 +22,7 @@ from monitor_process import PREFIX, Ear, PythonReading, environment, expected, f
 from patience import Granted, rest, wait
 from stopset.artifact import Model, save_model
 from stopset.errors import BusError
+from stopset.monitor.clearing import REACTION
 from stopset.monitor.config import load_config
 from stopset.monitor.consumer import Fault
 from stopset.monitor.layout import State, unpack
@@ -186,6 +187,7 @@ def test_joint_states_over_zenoh(place: Place, tmp_path: Path) -> None:
         assert replay.returncode == 0, err
         assert ear.wait(lambda: ear.twins and ear.twins[-1]["samples"] > 0.9 * TRIALS * SAMPLES)
         assert ear.wait(lambda: ear.twins[-1]["violating_joints"] == [model.joints[2]])
+        time.sleep(2.0 * REACTION)  # the last of it is told: who orders sooner cannot have seen it
         ear.link.put("reset", b'{"name": "", "reason": "no name"}')
         assert ear.wait(lambda: any(e["kind"] == "reset_refused" for e in ear.events))
         assert ear.twins[-1]["violation_latched"]

@@ -269,7 +269,7 @@ static double longest(const Task *t, double first, double slowest, double begin,
         int knot = f->made; /* the last at which the latest stop is as fast */
         while (f->x[knot - 1] < ends[1]) knot--;
         to = (int)least((begin + knot * f->step - first) / step, GRID - 1) + 1;
-        const double u = surely(t, at, least(from, to), to, ends, room);
+        const double u = surely(t, at, (int)least(from, to), to, ends, room);
         if (!(u > 0.0)) return STOPS_INF;
         out += (rate[0] - rate[1]) / u;
     }
