@@ -165,9 +165,8 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     run, braked = (np.array([c[k] for c in curves]) for k in range(2))
     d = np.array([v * _moved(x, pace) for x, v in zip(run, (v_lo, v_lo, v_hi, v_hi), strict=True) for pace in ramp.pace])
     least, most = run.min(axis=0), run.max(axis=0)
-    if (
-        ramp.kind == "deceleration"
-    ):  # between a speed one way and one the other way lies one that is no sooner to brake than at rest
+    # between a speed one way and one the other way lies one that is no sooner to brake than at rest
+    if ramp.kind == "deceleration":
         least = np.where((v_lo < 0.0) & (v_hi > 0.0), np.minimum(t[:, None], ramp.control.lo), least)
     # what a ramp leaves of a speed and what a pace makes of it: a late ramp with a motion that gets slower has less than any of both ends
     share = np.maximum(np.array([1.0 + pace * x for pace in ramp.pace for x in (least, most)]), 0.0)
