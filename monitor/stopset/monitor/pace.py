@@ -5,7 +5,7 @@ Numbers of cycles do not show it: a counter counts whatever the cycle is, and st
 
 from __future__ import annotations
 
-from collections import deque
+from array import array
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -26,37 +26,40 @@ class Pace:
     period: float
     why: str = ""
     _was_good: bool = False  # when it was looked at last
-    _stamps: deque[float] = field(default_factory=lambda: deque(maxlen=LONG + 1))
+    _stamps: array[float] = field(default_factory=lambda: array("d", bytes(8 * (LONG + 1))))  # a ring; it takes no memory while it runs
+    _taken: int = 0
     _long_why: str = ""
     _looks: int = 0
 
     @property
     def fault(self) -> str:
         """``why``, and before enough samples have come to tell, that."""
-        return NOT_YET if len(self._stamps) <= LEAST else self.why
+        return NOT_YET if self._taken <= LEAST else self.why
 
     def take(self, t: float) -> None:
         """A sample stamped ``t`` [s]."""
-        stamps = self._stamps
-        stamps.append(t)
-        intervals = min(len(stamps) - 1, MOST)
+        stamps, last = self._stamps, self._taken % len(self._stamps)
+        stamps[last] = t
+        self._taken += 1
+        intervals = min(self._taken - 1, MOST)
         if intervals < LEAST:
             return
         # a good bus has the right mean, which is found in no time; so may one of another cycle that has just made up for a pause
-        mean = (t - stamps[-1 - intervals]) / intervals
+        mean = (t - stamps[last - intervals]) / intervals
         if not (self._was_good and abs(mean - self.period) <= ANOTHER * self.period):
             self.why = self._looked_at()
             self._was_good = not self.why
 
     def _looked_at(self) -> str:
         """By the last intervals, which are soon others; and by many, whose middle is surer: either may see another cycle."""
-        stamps = list(self._stamps)
+        newest = self._taken % len(self._stamps)
+        stamps = (self._stamps[newest:] + self._stamps[:newest])[-self._taken :]
         if self._looks % LOOK == 0:
             self._long_why = self._said(stamps)
         self._looks += 1
         return self._said(stamps[-1 - MOST :]) or self._long_why
 
-    def _said(self, stamps: list[float]) -> str:
+    def _said(self, stamps: array[float]) -> str:
         """By the middle interval, which lost samples and those held up do not move."""
         intervals = [b - a for a, b in pairwise(stamps)]
         near = _middle(intervals)
