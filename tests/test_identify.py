@@ -235,7 +235,7 @@ def test_held_out_motions_shape_neither_the_nominal_model_nor_the_noise(tmp_path
     """Else the count of violations among them would prove nothing."""
     trials = recordings((2.0,), (4.0,), suites=8, trials=2, seconds=0.6)
     a = found(tmp_path, trials)
-    held = {suite for _, _, suite in a.survey.held_out}
+    held = {suite for _, _, suite, _ in a.survey.held_out}
     assert len(held) == 2
     rng = np.random.default_rng(0)
     spoiled = [

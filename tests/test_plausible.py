@@ -82,3 +82,18 @@ def test_rotors_that_no_data_sheet_tells_are_no_wrong_unit(tmp_path: Path) -> No
     with pytest.raises(RecordingError, match="turn the sign of tau"):
         wrong = [replace(r, tau=-r.tau) for r in trials]
         identify(robot, [save_trials(tmp_path / "n.parquet", wrong, names(2))], Settings(horizon=0.2))
+
+
+def test_what_balances_an_arm_beyond_its_weight_turns_no_sign(tmp_path: Path, motor: Recordings) -> None:
+    """A hydraulic cylinder bears more than the links that it was made for: the drive pushes down where the description lifts (a real KUKA
+    KR 300, whose torque was called one of the wrong sign)."""
+    robot, path = arm(), tmp_path / "r.parquet"
+
+    def balanced(r: Recording) -> Recording:
+        weight = gravity_torques(robot.chain, robot.pi, np.ascontiguousarray(r.q))
+        return replace(r, tau=r.tau - weight * np.array([0.0, 2.2, 0.0]))
+
+    write_recordings(path, Meta(joints=JOINTS), [balanced(r) for r in motor.trials])
+    assert not inspect_recordings([path], robot)[0].wrong
+    notes = identify(robot, [path], Settings(horizon=0.2, friction="plain")).model.notes
+    assert [n for n in notes if "shoulder: the torque is -" in n and "steps up where the joint turns round" in n]

@@ -205,7 +205,7 @@ def test_a_robot_with_a_joint_the_file_lacks(trials: list[Recording], tmp_path: 
 
 def test_cut_and_grouping(trials: list[Recording], tmp_path: Path) -> None:
     got = read_recordings(save_trials(tmp_path / "a.parquet", trials, JOINTS))
-    assert set(got.suites) == {(0, "open_loop", 0), (0, "open_loop", 1)}
+    assert set(got.suites) == {(0, "open_loop", 0, 0), (0, "open_loop", 1, 0)}
     assert got.phases == ("open_loop",)
     assert len(got.phase("stop0")) == 0
     assert got.samples == sum(len(r.t) for r in trials)

@@ -57,7 +57,7 @@ def _print_answer(r: Inspection) -> None:
         say(f"  the monitor that wrote it took its violation for: {cause}")
     for phase, p in o["phases"].items():
         say(
-            f"  {phase:12} {p['trials']:5} trial{'s' if p['trials'] != 1 else ''} of {many(p['motions'], 'suite')}, {p['seconds']:.4g} s"
+            f"  {phase:12} {p['trials']:5} trial{'s' if p['trials'] != 1 else ''} of {many(p['motions'], 'motion')}, {p['seconds']:.4g} s"
         )
     for joint, x in o["joints"].items():
         say(f"  {joint:24} q {_range(x['q'], 'rad')}  dq {_range(x['dq'], 'rad/s')}  tau {_range(x['tau'], 'N m')}")

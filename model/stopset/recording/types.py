@@ -9,9 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.recording.repetition import POWERED, Motion
 from stopset.types import Array
 
-SuiteKey = tuple[int, str, int]  # (file, phase, suite)
+SuiteKey = tuple[int, str, int, int]  # (file, phase, suite, motions of that suite before: 0 where its trials repeat one)
+TrialKey = tuple[int, str, int, int, int]  # and the trial
 
 PHASES = ("static", "closed_loop", "open_loop", "stop0", "stop1")
 UNCOUNTED = -1  # of a recording made by hand, until `counted` has told its place among the others
@@ -54,8 +56,9 @@ class Recording:
     """One trial: ``t`` (N,) [s]; ``q, dq, tau`` (N, n) [rad, rad/s, N m]; the rest where it was recorded.
 
     ``suite`` and ``trial`` are names: nothing may depend on which numbers a recorder gave.  What counts is the order in the
-    campaign: ``place`` of the trial (0, 1, ... in file order; what warms up does so along it), ``repetition``: trials of its
-    suite before it, ``begun``: suites of its phase that its file began before its own (see `counted`).
+    campaign: ``place`` of the trial (0, 1, ... in file order; what warms up does so along it), ``begun``: suites of its
+    phase that its file began before its own, ``other``: motions that its suite held before its own, 0 where the trials of a suite
+    repeat one as they should, ``repetition``: trials of this motion before it (see `counted`).
     """
 
     phase: str
@@ -79,6 +82,7 @@ class Recording:
     spikes: tuple[Spike, ...] = ()  # for which samples were left out, see `without_spikes`
     repetition: int = UNCOUNTED
     begun: int = UNCOUNTED
+    other: int = 0
 
     def __post_init__(self) -> None:
         # made by hand, trials and suites are numbered in their order
@@ -91,12 +95,13 @@ class Recording:
     def suite_key(self) -> SuiteKey:
         """What repeats: trials of one suite share start and torques, so the suite, not the trial, is independent.
 
-        Every recorder counts its suites from zero: suites of another file are other suites, whatever their number.
+        Every recorder counts its suites from zero: suites of another file are other suites, whatever their number; and so are
+        trials that were given one suite's number and repeat nothing.
         """
-        return (self.file, self.phase, self.suite)
+        return (self.file, self.phase, self.suite, self.other)
 
     @property
-    def key(self) -> tuple[int, str, int, int]:
+    def key(self) -> TrialKey:
         return (*self.suite_key, self.trial)
 
     @property
@@ -134,8 +139,8 @@ class Recording:
 
 def suite_label(key: SuiteKey) -> str:
     """The suite in words."""
-    file, phase, suite = key
-    return f"{phase} suite {suite}{_of_file(file)}"
+    file, phase, suite, other = key
+    return f"{phase} suite {suite}{f', motion {other + 1}' if other else ''}{_of_file(file)}"
 
 
 def _of_file(file: int) -> str:
@@ -177,15 +182,25 @@ class Recordings:
 
 
 def counted(trials: Iterable[Recording]) -> Iterator[Recording]:
-    """``trials``, whole files in campaign order, with the ``repetition`` and ``begun`` that this order gives them."""
+    """``trials``, whole files in campaign order, with the ``other``, ``repetition`` and ``begun`` that this order gives them."""
+    motions: dict[tuple[int, str, int], list[Motion]] = {}
     repetitions: dict[SuiteKey, int] = {}
-    begun: dict[SuiteKey, int] = {}
-    suites: dict[tuple[int, str], int] = {}
+    suites: dict[tuple[int, str], dict[int, int]] = {}
     for r in trials:
-        key, where = r.suite_key, (r.file, r.phase)
-        if key not in begun:
-            begun[key] = suites.get(where, 0)
-            suites[where] = begun[key] + 1
-        repetition = repetitions.get(key, 0)
-        repetitions[key] = repetition + 1
-        yield replace(r, repetition=repetition, begun=begun[key])
+        mine = replace(r, other=_motion_of(r, motions.setdefault((r.file, r.phase, r.suite), [])))
+        repetition = repetitions.get(mine.suite_key, 0)
+        repetitions[mine.suite_key] = repetition + 1
+        here = suites.setdefault((r.file, r.phase), {})
+        yield replace(mine, repetition=repetition, begun=here.setdefault(r.suite, len(here)))
+
+
+def _motion_of(r: Recording, known: list[Motion]) -> int:
+    """Which of the motions that its suite held so far a trial repeats; one that repeats none is added to them."""
+    if r.phase not in POWERED:
+        return 0
+    mine = Motion.of(r)
+    for k, motion in enumerate(known):
+        if motion.repeated_by(mine):
+            return k
+    known.append(mine)
+    return len(known) - 1

@@ -126,7 +126,7 @@ def _motor(run: Run, known: tuple[Fitted, ...]) -> NominalPart:
         chosen = choose(cad, trials, len(set(found.motion.values())), everywhere, barred, prepared, among)
     laws = tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen))))
     nominal = identify_nominal(cad, trials, laws, settings=prepared)
-    strange = check_torque(cad, run.meta, nominal.data, nominal.delay)
+    strange = check_torque(cad, run.meta, nominal.data, nominal.delay, found.sample)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
             raise EffectError(f"{name}: {NO_TRACE}")

@@ -104,7 +104,7 @@ def _lag_of(robot: Robot, recordings: Recordings, usual: Lags) -> tuple[Lags, tu
         if half and not own_clock(again, expected, 2 * found.hold):
             return usual, ()
     if found.beyond:
-        check_torque(robot, recordings.meta, data, found)
+        check_torque(robot, recordings.meta, data, found, pieces)
     note = (
         f"the torque of these recordings is {lag_in_words(found)} the motion at all joints, that of the model's own "
         f"{lag_in_words(expected)} it: taken out before anything was asked; record torque and motion on one clock"

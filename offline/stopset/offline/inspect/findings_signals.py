@@ -1,8 +1,8 @@
-"""Readings that are none: angles that jump, signals that clip or never change, dq that is not the derivative of q."""
+"""Readings that are none: angles that jump, signals that clip or never change, dq that is not the derivative of q, numbers that lie."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import OFF_RATE
 from stopset.offline.inspect.tally import IDLE, LAGS, SignalSums
-from stopset.recording.types import Meta
+from stopset.recording.types import Meta, SuiteKey, suite_label
 
 RATIOS = {  # dq over the derivative of q -> what it means
     180 / np.pi: "dq is in deg/s, q in rad",
@@ -28,6 +28,20 @@ CLEAR = 0.9985  # above it neither noise of q nor a filter that dq went through 
 ALIKE = 0.005  # scales of all joints this near to each other have one cause
 SAME = 3  # trials in which a signal stops at the very same value below its largest
 FEWEST_LEVELS = 10  # sizes of torque from which on resting at the largest one says something
+
+
+def unrepeated(motions: Iterable[SuiteKey]) -> list[Finding]:
+    """Open-loop suites whose trials do not repeat one motion; elsewhere a suite is any grouping."""
+    held: dict[tuple[int, str, int], int] = {}
+    for file, phase, suite, other in motions:
+        if phase == "open_loop":
+            held[file, phase, suite] = max(held.get((file, phase, suite), 0), other + 1)
+    return [
+        Finding("suite_of_many", "note", None, f"{suite_label((*suite, 0))} holds {count} motions that do not repeat one another",
+                "trials of a suite that start alike and get the same torques", "give every motion a suite of its own; here each "
+                "counts as its own, and only what does repeat as a repetition", float(count))
+        for suite, count in held.items() if count > 1
+    ]  # fmt: skip
 
 
 def _coarse(t: SignalSums) -> NDArray[np.bool_]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
 from stopset.offline.inspect.finding import Finding
@@ -35,10 +37,8 @@ def torque_sign(t: SignalSums, joints: Sequence[str], *, compensated: bool) -> l
 def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
     """Each joint by its own steps; where these together say it of the arm, every joint whose torque steps down."""
     judged = np.flatnonzero(t.moved & (t.turns[0] >= FEWEST_TURNS))
-    count, total, squares = t.turns[:, judged]
-    step = total / count
-    error = np.sqrt(np.maximum(squares / count - step**2, 0.0) / (count - 1))
-    sure = ndtri(np.clip(stdtr(count - 1, step / np.maximum(error, 1e-9)), 1e-12, 1 - 1e-12))
+    count = t.turns[0, judged]
+    step, error, sure = _steps(t.turns[:, judged])
     together = len(judged) > 1 and float(sure.sum()) < -TURNED * np.sqrt(len(judged)) and int((step < 0).sum()) * 2 > len(judged)
     do = "turn the sign of tau, of all joints as it seems" if together else "turn the sign of tau (or of q and dq)"
     return [
@@ -47,6 +47,29 @@ def _by_reversals(t: SignalSums, joints: Sequence[str]) -> list[Finding]:
                 "a step up, as friction makes it in torque and motion of one clock", do, float(step[k]))
         for k in np.flatnonzero((step < 0) if together else sure < -TURNED)
     ]  # fmt: skip
+
+
+def _steps(turns: Array) -> tuple[Array, Array, Array]:
+    """Mean half step [N m] of each joint, its error, and how sure it is one up, in standard deviations; ``turns`` (3, k) as `SignalSums` has."""
+    count, total, squares = turns
+    step = total / count
+    error = np.sqrt(np.maximum(squares / count - step**2, 0.0) / (count - 1))
+    return step, error, ndtri(np.clip(stdtr(count - 1, step / np.maximum(error, 1e-9)), 1e-12, 1 - 1e-12))
+
+
+def rises(turns: Array) -> NDArray[np.bool_]:
+    """(n,) whether a joint's torque surely steps up where it turns round, as friction makes it where the sign is right."""
+    out = np.asarray(turns[0] >= FEWEST_TURNS)
+    out[out] = _steps(turns[:, out])[2] > TURNED
+    return out
+
+
+def balanced(f: Finding) -> Finding:
+    """Of a torque that falls where the rigid body's rises, though friction shows that its sign is right."""
+    return replace(
+        f, kind="torque_scale", severity="warning", seen=f"{f.seen}, but it steps up where the joint turns round, as friction makes it",
+        do="the sign is right: what balances the arm bears more than it weighs, or masses and centres are others: check them",
+    )  # fmt: skip
 
 
 def _by_power(t: SignalSums, joints: Sequence[str]) -> list[Finding]:

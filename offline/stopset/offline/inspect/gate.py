@@ -6,7 +6,9 @@ A model of torque in mN m, or with its sign turned, encloses its own recordings 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import groupby
+from itertools import groupby, islice
+
+import numpy as np
 
 from stopset.effects.selection import of_part, usual_friction
 from stopset.errors import RecordingError
@@ -28,6 +30,7 @@ from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.mounting import mounting
 from stopset.offline.inspect.order import exchanged
+from stopset.offline.inspect.reversals import steps
 from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
@@ -62,7 +65,7 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     if meta.effort == "compensated_torque":
         for r in some:
             momentum.add(r)
-        _refuse(against_model(robot, meta, *momentum.scales(), RIGHT_TORN))
+        _refuse(against_model(robot, meta, RIGHT_TORN, *momentum.scales()))
         _refuse(beyond)
     elif (order := exchanged(robot, some)) is not None:
         _refuse(misplaced([robot.joints[k] for k in order.joints], order.better, motion=order.motion))
@@ -91,16 +94,20 @@ def check_readings(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> Non
     _refuse(unsound(robot, meta, trials), "nothing is named from these recordings")
 
 
-def check_torque(robot: Robot, meta: Meta, data: NormalEquations, lag: Delay) -> tuple[str, ...]:
-    """Motor torque, ``lag`` after the motion, against the description's rigid body, from the sums of the nominal regression.
+def check_torque(robot: Robot, meta: Meta, data: NormalEquations, lag: Delay, some: Iterable[Recording]) -> tuple[str, ...]:
+    """Motor torque, ``lag`` after the motion, against the description's rigid body, from the sums of the nominal regression, and in ``some``
+    of the trials against friction where joints turn round.
 
     What is strange but no error is returned in words. Raises `RecordingError`.
     """
-    scale, std = torque_scales(robot, data)
-    _refuse(against_model(robot, meta, scale, std, RIGHT_TORN))  # a wrong unit is no lag
+    turns = np.zeros((3, robot.n))
+    for j, rise in (step for r in islice(some, LOOKED_AT) for step in steps(r)):
+        turns[:, j] += 1.0, rise, rise**2
+    seen = (*torque_scales(robot, data), turns)
+    _refuse(against_model(robot, meta, RIGHT_TORN, *seen))  # a wrong unit is no lag
     _refuse(torque_beyond(lag.beyond))
     # other laws of friction, perhaps through a filter: `stopset inspect` need not have found the same
-    strange = against_model(robot, meta, scale, std, RIGHT)
+    strange = against_model(robot, meta, RIGHT, *seen)
     return tuple(f"seen beside the fitted friction ({f.severity}): {f.says}" for f in strange if f.severity != "note")
 
 

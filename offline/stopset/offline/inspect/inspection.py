@@ -16,7 +16,7 @@ from stopset.offline.inspect import findings_torque
 from stopset.offline.inspect.contradiction import contradictions
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import clock
-from stopset.offline.inspect.findings_signals import readings, saturation, velocity
+from stopset.offline.inspect.findings_signals import readings, saturation, unrepeated, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.jolts import Jolt, found, jolts
 from stopset.offline.inspect.mounting import mounting
@@ -78,8 +78,8 @@ class _Campaign:
     momentum: Momentum | None = None  # of compensated torque, where the robot is known
     trials: dict[str, int] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
-    suites: dict[SuiteKey, int] = field(default_factory=dict)
-    torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each open-loop suite
+    suites: dict[SuiteKey, int] = field(default_factory=dict)  # trials of each motion
+    torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each open-loop motion
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
     sample: UnitSample = field(default_factory=UnitSample)
@@ -102,7 +102,7 @@ class _Campaign:
         if r.phase == "open_loop":
             self.torques.setdefault(r.suite_key, r.tau)
         self.suites[r.suite_key] = self.suites.get(r.suite_key, 0) + 1
-        for name in ("temp", "current", "stop_trigger"):
+        for name in ("temp", "current", "q_link", "stop_trigger"):
             if getattr(r, name) is not None:
                 self.channels.add(name)
         if r.phase != "static":
@@ -119,7 +119,7 @@ class _Campaign:
     def phases(self) -> dict[str, dict[str, Any]]:
         out: dict[str, dict[str, Any]] = {}
         for phase, trials in self.trials.items():
-            mine = [count for (_, p, _), count in self.suites.items() if p == phase]
+            mine = [count for (_, p, *_), count in self.suites.items() if p == phase]
             out[phase] = {
                 "trials": trials, "motions": len(mine), "most_trials_per_motion": max(mine),
                 "seconds": round(self.seconds[phase], 3),
@@ -189,7 +189,7 @@ def _findings(
     out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints, meta)]
     if t.trials == 0:
         return out
-    out += findings_torque.spikes(t.spikes, joints)
+    out += [*unrepeated(campaign.suites), *findings_torque.spikes(t.spikes, joints)]
     if not any(f.severity == "error" for f in out):  # stamps and readings that are wrong tear speeds apart
         out += [*found(campaign.jolts, joints), *findings_torque.torque_peaks(t.peaks, joints)]
     sign = findings_torque.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
@@ -210,18 +210,19 @@ def _findings(
         if hangs is not None:  # whatever else the rigid body would say rests on gravity
             out += findings_torque.mounted(hangs.gravity, hangs.angle, robot.chain.gravity)
         else:
-            out += _torque(robot, data, scales, meta, sign, torn=torn)
+            out += _torque(robot, data, (*scales, t.turns), meta, sign, torn=torn)
         if meta.effort != "compensated_torque" and not torn:
             out += findings_torque.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
 
 
 def _torque(
-    robot: Robot, data: NormalEquations, scales: tuple[Array, Array], meta: Meta, sign: list[Finding], *, torn: bool
+    robot: Robot, data: NormalEquations, seen: tuple[Array, Array, Array], meta: Meta, sign: list[Finding], *, torn: bool
 ) -> list[Finding]:
-    """Torque held against the robot's own model: sign and unit, and where these are right, the delay."""
+    """Torque held against the robot's own model: sign and unit, and where these are right, the delay; ``seen``: see `against_model`."""
     compensated = meta.effort == "compensated_torque"
-    against = against_model(robot, meta, *scales, findings_torque.RIGHT_TORN if torn or compensated else findings_torque.RIGHT)
+    right = findings_torque.RIGHT_TORN if torn or compensated else findings_torque.RIGHT
+    against = against_model(robot, meta, right, *seen)
     blamed = {f.joint for f in against}
     out = [*against, *(f for f in sign if f.joint not in blamed)]
     if torn or any(f.severity == "error" for f in against) or (sign and compensated):
@@ -240,8 +241,11 @@ def _torque(
     )
 
 
-def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tuple[float, float]) -> list[Finding]:
-    """Torque that is by a unit or a sign apart from what the robot needs: ``scale`` (n,) measured over modelled, ``std`` its error.
+def against_model(
+    robot: Robot, meta: Meta, right: tuple[float, float], scale: Array, std: Array, turns: Array | None = None
+) -> list[Finding]:
+    """Torque that is by a unit or a sign apart from what the robot needs: ``scale`` (n,) measured over modelled, ``std`` its error,
+    ``turns``: what torque does where joints turn round, as `SignalSums` counts it.
 
     ``right``: between which scales all may be payload, drive gain and errors of the description.
     """
@@ -250,15 +254,19 @@ def against_model(robot: Robot, meta: Meta, scale: Array, std: Array, right: tup
     constant = np.array([by.get(j, np.nan) for j in robot.joints])
     if shares := findings_torque.torque_shares(scale, std, robot.joints, robot.torque_limit):
         return shares
-    return findings_torque.torque_scale(scale, std, robot.joints, gear, constant, right)
+    found = findings_torque.torque_scale(scale, std, robot.joints, gear, constant, right)
+    rises = (
+        {j for j, sure in zip(robot.joints, findings_torque.rises(turns), strict=True) if sure} if turns is not None else set()
+    )
+    return [findings_torque.balanced(f) if f.kind == "wrong_sign" and f.joint in rises else f for f in found]
 
 
 def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]:
-    paired = sum(1 for (_, phase, _), count in campaign.suites.items() if phase == "static" and count >= 2)
+    paired = sum(1 for (_, phase, *_), count in campaign.suites.items() if phase == "static" and count >= 2)
     top = np.abs(campaign.tally.range_dq).max(axis=1)
     n = campaign.tally.n
     low = campaign.slowest if len(campaign.slowest) == n else np.full(n, np.inf)
-    repeats = max((c for (_, p, _), c in campaign.suites.items() if p == "open_loop"), default=0)
+    repeats = max((c for (_, p, *_), c in campaign.suites.items() if p == "open_loop"), default=0)
     motions = len(set(independent_motions(campaign.torques).values())) if campaign.torques else 0
     limit = robot.dq_limit if robot is not None and np.isfinite(robot.dq_limit).all() else None
     return needs(Inventory(

@@ -68,7 +68,7 @@ def _file(out: Page, r: Inspection) -> None:
         out.text("Nothing is missing for identification.")
     if o["phases"]:
         out.table(
-            ("phase", "trials", "suites", "most trials of a suite", "seconds"),
+            ("phase", "trials", "motions", "most trials of a motion", "seconds"),
             [(name, p["trials"], p["motions"], p["most_trials_per_motion"], p["seconds"]) for name, p in o["phases"].items()],
         )
     if o["trials"]:

@@ -174,9 +174,10 @@ def _hull(a: Array, b: Array) -> Array:
 def group_of(r: Recording) -> int:
     """The group of a trial's motion, the same in every run and on every machine, whatever numbers the recorder gave.
 
-    Open-loop trials of a suite repeat one motion; elsewhere every trial is a motion of its own.
+    Open-loop trials of a suite repeat one motion, unless they were found to go otherwise; elsewhere every trial is a motion of its own.
     """
-    name = f"{r.phase}:{r.begun}" if r.phase == "open_loop" else f"{r.phase}:{r.begun}:{r.repetition}"
+    own = r.other if r.phase == "open_loop" else r.other + r.repetition
+    name = f"{r.phase}:{r.begun}" if r.phase == "open_loop" and not own else f"{r.phase}:{r.begun}:{own}"
     return zlib.crc32(name.encode(), r.file) % GROUPS
 
 

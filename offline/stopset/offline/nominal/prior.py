@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stopset.robot import Robot
+from stopset.robot.rigid import link_frames
 from stopset.types import Array
 
 
@@ -25,7 +26,7 @@ class Tolerance:
     centre: float = 0.0018  # [m] of each link's centre of mass along each axis: 3 mm in all
     inertia: float = 0.10  # of each link's inertia
     rotor: float = 0.03  # of each reflected rotor inertia: data sheets 4 % off at most are 2.3 % off in the mean square
-    rotor_unknown: float = 10.0  # [kg m^2] where the data sheet gives none: as good as no prior
+    rotor_unknown: float = 10.0  # [kg m^2] where the data sheet gives none: as good as no prior, of a `LIGHT` arm
 
     def times(self, factor: float) -> Tolerance:
         """Errors that many times as large."""
@@ -35,6 +36,10 @@ class Tolerance:
 # Data win over a wide prior, not over one that is too narrow: on 29 recordings (28 labelled sets, UR10e) twice the tolerance leaves
 # the held-out torque error within 1 % of what 4 %, 5 mm, 20 % and 10 % leave; once raises it by up to 19 % (a rotor off its sheet).
 IDENTIFICATION = 2.0
+
+# [kg m^2] of an arm stretched from its first joint: a UR10e has 11, a KR 300 1,500, and rotors of up to 840 behind its gears, which a
+# prior of 10 held back for the links to make up
+LIGHT = 20.0
 
 # A tool or load that the description does not have, one standard deviation: share of the arm's mass, and how far out
 CARRIED = 0.2
@@ -52,6 +57,7 @@ class Prior:
     precision: Array
     rotor_known: tuple[bool, ...]
     carried: Array
+    rotor_unknown: float  # [kg m^2] standard deviation of a rotor that no data sheet gives
 
     @property
     def last(self) -> slice:
@@ -64,7 +70,7 @@ class Prior:
         """The same links, and rotors of which nothing is known."""
         n = len(self.rotor_known)
         mean, precision, rotors = self.mean.copy(), self.precision.copy(), np.arange(10 * n, 11 * n)
-        mean[rotors], precision[rotors, rotors] = 0.0, 1 / Tolerance().rotor_unknown ** 2
+        mean[rotors], precision[rotors, rotors] = 0.0, 1 / self.rotor_unknown**2
         return replace(self, mean=mean, precision=precision, rotor_known=(False,) * n)
 
     def believed(self, scale: float, *, loaded: bool) -> Array:
@@ -92,13 +98,22 @@ def prior_of(robot: Robot, tolerance: Tolerance | None = None) -> Prior:
         s = slice(10 * i, 10 * i + 10)
         precision[s, s] = np.linalg.inv(_link_covariance(robot.pi[i], tolerance))
     rotor = robot.rotor
+    unknown = tolerance.rotor_unknown * max(1.0, _stretched(robot) / LIGHT)
     known = tuple(bool(np.isfinite(d.rotor_inertia)) for d in robot.drives)
     for i in range(n):
-        sd = max(tolerance.rotor * rotor[i], 1e-4) if known[i] else tolerance.rotor_unknown
+        sd = max(tolerance.rotor * rotor[i], 1e-4) if known[i] else unknown
         precision[10 * n + i, 10 * n + i] = 1 / sd**2
     mass = CARRIED * float(robot.pi[:, 0].sum())
     carried = mass**2 * np.diag(np.r_[1.0, [CARRIED_AT**2] * 3, [CARRIED_AT**4] * 6])
-    return Prior(np.concatenate([robot.pi.ravel(), rotor]), precision, known, carried)
+    return Prior(np.concatenate([robot.pi.ravel(), rotor]), precision, known, carried, unknown)
+
+
+def _stretched(robot: Robot) -> float:
+    """[kg m^2] about the first joint, were all links in one line: what geared drives of that arm have is of its order."""
+    origins = link_frames(robot.chain, np.zeros(robot.n))[1]
+    out = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(origins, axis=0), axis=1))])
+    mass = np.maximum(robot.pi[:, 0], 1e-6)
+    return float(mass @ (out + np.linalg.norm(robot.pi[:, 1:4], axis=1) / mass) ** 2)
 
 
 def _link_covariance(P: Array, tolerance: Tolerance) -> Array:

@@ -156,8 +156,8 @@ def _stops(head: list[list[Any]], arrays: Arrays) -> tuple[Recording, ...]:
     return tuple(counted(stop(k, *row) for k, row in enumerate(head)))
 
 
-def _key(file: int, phase: str, suite: int) -> SuiteKey:
-    return (file, phase, suite)
+def _key(file: int, phase: str, suite: int, other: int = 0) -> SuiteKey:
+    return (file, phase, suite, other)
 
 
 def _edges(box: Box) -> Array:

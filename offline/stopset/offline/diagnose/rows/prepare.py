@@ -17,6 +17,7 @@ from stopset.offline.campaign.session import Session
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.rows.sampling import Sampled, in_words, period_of, sampled
 from stopset.recording import Recording, Recordings, SuiteKey
+from stopset.recording.types import TrialKey
 from stopset.types import Array, Index, Mask
 
 KERNEL = 0.012  # [s] standard deviation: -3 dB at 11 Hz; keeps the ripple of 100 cycles per turn at slow and medium speed
@@ -64,14 +65,14 @@ class Kernel:
 class PreparedTrial:
     """Where one moving trial lies: ``fine`` samples at the recording's rate, ``rows`` after thinning."""
 
-    key: tuple[int, str, int, int]
+    key: TrialKey
     fine: slice
     rows: slice
 
     @property
-    def unit(self) -> SuiteKey | tuple[int, str, int, int]:
+    def unit(self) -> SuiteKey | TrialKey:
         """What is held out together: repetitions of one open-loop suite, else the trial."""
-        return self.key[:3] if self.key[1] == "open_loop" else self.key
+        return self.key[:4] if self.key[1] == "open_loop" else self.key
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,53 @@
+"""Whether a trial repeats another one: what its number says of that is not relied on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from stopset.types import Array
+
+if TYPE_CHECKING:
+    from stopset.recording.types import Recording
+
+POWERED = ("open_loop", "closed_loop")  # in which arms move under power; poses, and stops, are told apart by their numbers
+KEPT = 512  # samples of a trial that are compared
+# of its own size by which a motion differs from another one's: two that have nothing in common by 1.4, the repetitions of the paper's arm
+# by 0.02 in torque, of which those under way for an hour by 0.1 as friction falls
+ANOTHER = 0.5
+MOVES = 0.02  # [rad] what moves less repeats whatever it is said to
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """At most `KEPT` samples of a trial: ``t`` (k,) [s] from its beginning, ``q``, ``tau`` (k, n) [rad, N m]."""
+
+    t: Array
+    q: Array
+    tau: Array
+
+    @classmethod
+    def of(cls, r: Recording) -> Self:
+        """That of ``r``."""
+        at = slice(None, None, -(-len(r.t) // KEPT))
+        return cls(r.t[at] - r.t[0], r.q[at], r.tau[at])
+
+    def repeated_by(self, other: Motion) -> bool:
+        """Whether torques or angles go as here over the time that both last: open-loop trials share torques (Liu & Althoff 2018,
+        def. 2), and their angles diverge; under a controller it is the angles, and friction may have changed."""
+        t = self.t[self.t <= other.t[-1]]
+        if max(np.ptp(self.q, axis=0).max(), np.ptp(other.q, axis=0).max()) < MOVES:
+            return True
+        return any(_near(a[: len(t)], _at(t, other.t, b)) for a, b in ((self.tau, other.tau), (self.q, other.q)))
+
+
+def _at(t: Array, stamps: Array, x: Array) -> Array:
+    return np.column_stack([np.interp(t, stamps, c) for c in x.T])
+
+
+def _near(a: Array, b: Array) -> bool:
+    """Whether two signals (k, n) differ by less than `ANOTHER` of what they vary, all joints together."""
+    size = np.sqrt(0.5 * (a.var(axis=0).sum() + b.var(axis=0).sum()))
+    return bool(np.sqrt(((a - b) ** 2).mean(axis=0).sum()) <= ANOTHER * size)
