@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
 from stopset.types import Array
 
-if TYPE_CHECKING:
-    from stopset.recording.types import Recording
-
 POWERED = ("open_loop", "closed_loop")  # in which arms move under power; poses, and stops, are told apart by their numbers
-KEPT = 512  # samples of a trial that are compared
+COMPARED = 512  # samples of a trial that are compared
 # of its own size by which a motion differs from another one's: two that have nothing in common by 1.4, the repetitions of the paper's arm
 # by 0.02 in torque, of which those under way for an hour by 0.1 as friction falls
 ANOTHER = 0.5
@@ -22,17 +19,17 @@ MOVES = 0.02  # [rad] what moves less repeats whatever it is said to
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """At most `KEPT` samples of a trial: ``t`` (k,) [s] from its beginning, ``q``, ``tau`` (k, n) [rad, N m]."""
+    """At most `COMPARED` samples of a trial: ``t`` (k,) [s] from its beginning, ``q``, ``tau`` (k, n) [rad, N m]."""
 
     t: Array
     q: Array
     tau: Array
 
     @classmethod
-    def of(cls, r: Recording) -> Self:
-        """That of ``r``."""
-        at = slice(None, None, -(-len(r.t) // KEPT))
-        return cls(r.t[at] - r.t[0], r.q[at], r.tau[at])
+    def of(cls, t: Array, q: Array, tau: Array) -> Self:
+        """That of a trial's ``t`` (N,) and its ``q, tau`` (N, n)."""
+        at = slice(None, None, -(-len(t) // COMPARED))
+        return cls(t[at] - t[0], q[at], tau[at])
 
     def repeated_by(self, other: Motion) -> bool:
         """Whether torques or angles go as here over the time that both last: open-loop trials share torques (Liu & Althoff 2018,

@@ -198,7 +198,7 @@ def _motion_of(r: Recording, known: list[Motion]) -> int:
     """Which of the motions that its suite held so far a trial repeats; one that repeats none is added to them."""
     if r.phase not in POWERED:
         return 0
-    mine = Motion.of(r)
+    mine = Motion.of(r.t, r.q, r.tau)
     for k, motion in enumerate(known):
         if motion.repeated_by(mine):
             return k

@@ -60,7 +60,8 @@ def _steps(turns: Array) -> tuple[Array, Array, Array]:
 def rises(turns: Array) -> NDArray[np.bool_]:
     """(n,) whether a joint's torque surely steps up where it turns round, as friction makes it where the sign is right."""
     out = np.asarray(turns[0] >= FEWEST_TURNS)
-    out[out] = _steps(turns[:, out])[2] > TURNED
+    _, _, sure = _steps(turns[:, out])
+    out[out] = sure > TURNED
     return out
 
 

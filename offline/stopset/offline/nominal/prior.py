@@ -110,7 +110,7 @@ def prior_of(robot: Robot, tolerance: Tolerance | None = None) -> Prior:
 
 def _stretched(robot: Robot) -> float:
     """[kg m^2] about the first joint, were all links in one line: what geared drives of that arm have is of its order."""
-    origins = link_frames(robot.chain, np.zeros(robot.n))[1]
+    _, origins = link_frames(robot.chain, np.zeros(robot.n))
     out = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(origins, axis=0), axis=1))])
     mass = np.maximum(robot.pi[:, 0], 1e-6)
     return float(mass @ (out + np.linalg.norm(robot.pi[:, 1:4], axis=1) / mass) ** 2)
