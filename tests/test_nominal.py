@@ -457,7 +457,9 @@ def test_a_heavy_arms_rotors_do_not_contradict_its_description() -> None:
     links = arm(mass=150.0)
     rotors = np.array([160.0, 160.0, 90.0])
     drives = tuple(replace(d, rotor_inertia=float(x)) for d, x in zip(links.drives, rotors, strict=True))
-    truth = Truth(replace(links, drives=drives), friction=lambda dq, load: 40.0 * np.sign(dq) + 200.0 * dq, noise=np.full(3, 30.0))
+    truth = Truth(
+        replace(links, drives=drives), friction=lambda dq, load: 40.0 * np.sign(dq) + 200.0 * dq, noise=np.full(3, 30.0)
+    )
     nominal = identify_nominal(arm(mass=150.0, sheet=False), campaign(truth))
     np.testing.assert_allclose(nominal.rotor, rotors, rtol=0.02)
     assert not any("contradicted" in note for note in nominal.notes)

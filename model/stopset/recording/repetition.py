@@ -11,8 +11,8 @@ from stopset.types import Array
 
 POWERED = ("open_loop", "closed_loop")  # in which arms move under power; poses, and stops, are told apart by their numbers
 COMPARED = 512  # samples of a trial that are compared
-# of its own size by which a motion differs from another one's: two that have nothing in common by 1.4, the repetitions of the paper's arm
-# by 0.02 in torque, of which those under way for an hour by 0.1 as friction falls
+# of its own size by which a motion differs from another one's: two that have nothing in common by 1.4; of the 28 labelled sets repetitions
+# by 0.31 at most, as friction falls while drives warm up, and other motions of one suite by 0.73 at least
 ANOTHER = 0.5
 MOVES = 0.02  # [rad] what moves less repeats whatever it is said to
 

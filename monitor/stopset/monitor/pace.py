@@ -26,7 +26,9 @@ class Pace:
     period: float
     why: str = ""
     _was_good: bool = False  # when it was looked at last
-    _stamps: array[float] = field(default_factory=lambda: array("d", bytes(8 * (LONG + 1))))  # a ring; it takes no memory while it runs
+    _stamps: array[float] = field(
+        default_factory=lambda: array("d", bytes(8 * (LONG + 1)))
+    )  # a ring; it takes no memory while it runs
     _taken: int = 0
     _long_why: str = ""
     _looks: int = 0
