@@ -147,7 +147,7 @@ def _bend(effect: Effect, joint: str, rows: _Behind) -> Ranked | None:
     if (
         bend < limit.PLAY_SURE * scatter
         or after > (1 - limit.PLAY_LOWERED) * before
-        or not stiffness.lo < 1 / bend < stiffness.hi
+        or 1 / bend < stiffness.lo  # how stiff a gear may be is no question: this one bends
     ):
         return None
     # what all parts err by alike: the description, and torque that is the motor's angle's, a bend apart from the link's
