@@ -262,18 +262,6 @@ def test_a_code_is_that_of_hmac_whatever_was_signed_before(size: int) -> None:
         assert key.code(memoryview(data)) == hmac.digest(key.secret, data, "sha256")[:16]
 
 
-@pytest.mark.parametrize("swift", [False, True])
-def test_a_code_is_that_of_hmac_with_and_without_the_processor_s_instructions(swift: bool) -> None:
-    """At every length of up to three blocks: where a message ends decides what the last block holds."""
-    key, rng = Key(1, bytes(range(32))), random.Random(0)
-    if swift and not key.begun.swift:
-        pytest.skip("this processor has no instructions for SHA-256")
-    key.begun.swift = swift
-    for size in [*range(200), LENGTH, 10_000]:
-        data = rng.randbytes(size)
-        assert key.code(data) == hmac.digest(key.secret, data, "sha256")[:16], size
-
-
 def test_keys_change_without_a_gap(tmp_path: Path) -> None:
     """RFC 4231's second case says that it is HMAC-SHA256; the order of a rotation is that of the guide."""
     code = Key(1, b"Jefe").code(b"what do ya want for nothing?")

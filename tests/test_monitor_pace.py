@@ -12,7 +12,7 @@ import pytest
 from monitor_arm import known_model
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.pace import ANOTHER, LEAST, LONG, MOST, Pace
-from stopset.monitor.rhythm import APART, STAMPS, Rhythm
+from stopset.monitor.rhythm import HOP, STAMPS, Rhythm
 from stopset.monitor.source import JointStateSource
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -126,7 +126,7 @@ def test_the_line_of_a_tolerated_cycle_is_no_other_one(off: float, scatter: floa
     for seed in range(3):
         t, rhythm = stamps(0.004 * (1.0 + off), scatter, held_up, 6000), Rhythm(0.004, ANOTHER)
         t = t[np.random.default_rng(seed).random(len(t)) >= lost]
-        for k in range(STAMPS, len(t), APART):
+        for k in range(STAMPS, len(t), HOP):
             rhythm.take(t[k - STAMPS : k])
             assert rhythm.other() == 0.0, k
 
@@ -138,6 +138,6 @@ def test_stamps_without_a_cycle_of_their_own_have_no_line() -> None:
         onward = np.cumsum(np.where(rng.random(6000) < 0.2, rng.uniform(0.004, 0.008, 6000), 0.004))
         for t in (onward, np.cumsum(rng.exponential(0.0041, 6000))):
             rhythm = Rhythm(0.004, ANOTHER)
-            for k in range(STAMPS, len(t), APART):
+            for k in range(STAMPS, len(t), HOP):
                 rhythm.take(t[k - STAMPS : k])
                 assert rhythm.other() == 0.0, (seed, k)

@@ -11,21 +11,39 @@ from __future__ import annotations
 import hashlib
 import hmac
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from stopset.core.library import ffi, lib
 from stopset.errors import StopsetError
 from stopset.monitor.layout import MAC
 
-KEY_BYTES, BLOCK = 32, 64  # BLOCK: a longer key is hashed first
+KEY_BYTES = 32
+BLOCK, INNER, OUTER = 64, 0x36, 0x5C  # of SHA-256, and of HMAC (RFC 2104, section 2)
 MAX_KEYS = 16
 
 
 class KeyFileError(StopsetError):
     """The key file cannot be used: mend it."""
+
+
+def _best_sha256() -> Callable[[bytes], Any]:
+    for name in ("_sha2", "_sha256"):  # since Python 3.12, and before
+        if find_spec(name):
+            own: Callable[[bytes], Any] = import_module(name).sha256
+            return own
+    return hashlib.sha256
+
+
+_SHA256 = _best_sha256()
+
+
+def _sha256(data: bytes = b"") -> Any:
+    """The interpreter's own, where it has one: its states lie in Python's pools. OpenSSL's takes memory of the system for every message."""
+    return _SHA256(data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,18 +52,21 @@ class Key:
 
     key_id: int
     secret: bytes
-    begun: Any = field(init=False, compare=False)  # the core's `StopsetKey`: has taken the secret in, once for all messages
+    _inner: Any = field(init=False, compare=False, repr=False)  # have taken the secret in, once for all messages
+    _outer: Any = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        secret = self.secret if len(self.secret) <= BLOCK else hashlib.sha256(self.secret).digest()
-        object.__setattr__(self, "begun", ffi.new("StopsetKey *"))
-        lib.stopset_key(len(secret), secret, self.begun)
+        secret = self.secret if len(self.secret) <= BLOCK else _sha256(self.secret).digest()
+        for name, pad in (("_inner", INNER), ("_outer", OUTER)):
+            object.__setattr__(self, name, _sha256(bytes(x ^ pad for x in secret.ljust(BLOCK, b"\0"))))
 
     def code(self, data: bytes | bytearray | memoryview) -> bytes:
-        """The authentication code of ``data``."""
-        out = bytearray(MAC)  # from Python's pools: cffi's own would be memory of the system for every message
-        lib.stopset_code(self.begun, len(data), ffi.from_buffer(data), ffi.from_buffer(out))
-        return bytes(out)
+        """The authentication code of ``data``: `hmac.digest`, without what that does anew for every message."""
+        inner, outer = self._inner.copy(), self._outer.copy()
+        inner.update(data)
+        outer.update(inner.digest())
+        code: bytes = outer.digest()[:MAC]
+        return code
 
     def __repr__(self) -> str:
         return f"Key({self.key_id}, ...)"  # a secret never gets into a log

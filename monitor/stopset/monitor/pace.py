@@ -11,10 +11,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from stopset.monitor.rhythm import APART, SPECTRA, STAMPS, Rhythm
+from stopset.monitor.rhythm import HOP, SPECTRA, STAMPS, Rhythm
 
 LEAST, MOST = 32, 128  # intervals that the pace is found from
-LONG, LOOK = 2048, APART  # and where stamps scatter too much for so few: so many, looked at once in so many samples
+LONG, LOOK = 2048, HOP  # and where stamps scatter too much for so few: so many, looked at once in so many samples
 ANOTHER = 0.02  # of the period: farther off is no clock's error but another cycle
 SURE = 4.0  # standard errors of the middle interval, where stamps scatter
 NOT_YET = f"whether samples come at the model's steps is told from {LEAST} intervals; they have not come yet"
@@ -66,7 +66,7 @@ class Pace:
         stamps, where both are not sure: any may see another cycle."""
         newest = self._taken % len(self._stamps)
         stamps = (self._stamps[newest:] + self._stamps[:newest])[-self._taken :]
-        if self._taken - self._looked > SPECTRA * APART:  # what was seen then is of another time
+        if self._taken - self._looked > SPECTRA * HOP:  # what was seen then is of another time
             self._rhythm.forget()
         if self._looks % LOOK == 0:
             self._long_why = self._said(stamps) or self._of_line(stamps)

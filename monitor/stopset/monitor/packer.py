@@ -11,7 +11,7 @@ import numpy as np
 
 from stopset.core.library import ffi, lib
 from stopset.monitor.authentication import Key
-from stopset.monitor.layout import AT, CHECKED, FIELDS, KINDS, LAYOUT_VERSION, LENGTH, MAGIC, Field, outward_all
+from stopset.monitor.layout import AT, CHECKED, FIELDS, KINDS, LAYOUT_VERSION, LENGTH, MAC, MAGIC, Field, outward_all
 
 _WHOLE = tuple(f for f in FIELDS if f.kind != "f32")
 _REAL = tuple(f for f in FIELDS if f.kind == "f32")
@@ -40,7 +40,7 @@ _FIRST_STRUCT, _NUMBER_STRUCT, _LAST_STRUCT = _struct(_FIRST), struct.Struct(f"=
 _FIRST_NAMES = tuple(f.name for f in _FIRST)
 _CHANGING = (*_FIRST_NAMES, *(f.name for f in _NUMBERS))
 _of_first, _of_numbers = itemgetter(*_FIRST_NAMES), itemgetter(*(f.name for f in _NUMBERS))
-_CHECK, _MAC, _END_CHECK = AT[CHECKED[0][0]], AT["mac"], AT[CHECKED[1][0]]
+_MAC = slice(AT["mac"], AT["mac"] + MAC)
 _SIDES = tuple(1 if f.rounds == "up" else -1 for f in _NUMBERS)
 
 
@@ -48,9 +48,9 @@ class Packer:
     """Makes messages; ``key`` adds its authentication code."""
 
     def __init__(self, key: Key | None = None) -> None:
-        self._key, self._key_id = key, 0 if key is None else key.key_id
-        self._begun = ffi.NULL if key is None else key.begun
+        self.key, self._key_id = key, 0 if key is None else key.key_id
         self._bytes = bytearray(LENGTH)
+        self._signed = memoryview(self._bytes)[: AT["mac"]]
         self._real = np.zeros(len(_WORDS))
         self._floats = np.frombuffer(self._bytes, "<f4")
         self._block: Mapping[str, Any] | None = None
@@ -97,5 +97,9 @@ class Packer:
         self._floats[_WORDS] = outward_all(self._real, _UP)
 
     def _finish(self) -> bytes:
-        lib.stopset_whole(self._message, self._begun, _CHECK, _MAC, _END_CHECK)
+        lib.stopset_message(self._message)
+        lib.stopset_seal(self._message, AT[CHECKED[0][0]])
+        if self.key is not None:
+            self._bytes[_MAC] = self.key.code(self._signed)
+        lib.stopset_seal(self._message, AT[CHECKED[1][0]])
         return bytes(self._bytes)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from stopset.types import Array
 
 STAMPS = 256  # of one spectrum; cycles that differ by one in as many are told apart
-SPECTRA = 32  # that are averaged at most, each of `APART` samples later
-APART = 64
+SPECTRA = 32  # that are averaged at most, each of `HOP` samples later
+HOP = 64
 WIDEST = 0.15  # of the model's step: so far a cycle is looked for; farther off the middle interval tells sooner
 COARSE, FINE = 13, 12  # their product: frequencies that are looked at, half a line's width apart
 LINE = 1.2  # widths of a line (one cycle in `STAMPS`): farther from its top little is left of it
@@ -51,7 +51,7 @@ class Rhythm:
         self._taken = 0
 
     def take(self, stamps: Array) -> None:
-        """The latest `STAMPS` stamps (STAMPS,) [s], `APART` samples after those before."""
+        """The latest `STAMPS` stamps (STAMPS,) [s], `HOP` samples after those before."""
         with np.errstate(invalid="ignore"):
             x = 2.0 * math.pi / self.period * (stamps - stamps[0])
             coarse, fine = np.exp(1j * np.outer(self._coarse, x)), np.exp(1j * np.outer(self._fine, x))
@@ -70,10 +70,10 @@ class Rhythm:
         if abs(1.0 / f[top] - 1.0) <= self.tolerance or not self._no_noise(height):
             return 0.0
         # nor may it be the slope of a line that is tolerated, or one among many
-        apart = (np.abs(f - f[top]) > LINE / STAMPS) | (np.abs(1.0 / f - 1.0) <= self.tolerance)
-        return self.period / float(f[top]) if STANDS_OUT * float(power[apart].max()) < height else 0.0
+        elsewhere = (np.abs(f - f[top]) > LINE / STAMPS) | (np.abs(1.0 / f - 1.0) <= self.tolerance)
+        return self.period / float(f[top]) if STANDS_OUT * float(power[elsewhere].max()) < height else 0.0
 
     def _no_noise(self, height: float) -> bool:
         """Chernoff's bound of a mean of exponentially distributed powers; spectra that overlap count for as many as do not."""
-        independent = 1.0 + (min(self._taken, SPECTRA) - 1) * APART / STAMPS
+        independent = 1.0 + (min(self._taken, SPECTRA) - 1) * HOP / STAMPS
         return height > 1.0 and independent * (height - 1.0 - math.log(height)) > CHANCE

@@ -108,10 +108,3 @@ void stopset_seal(StopsetMessage *m, int64_t end) {
     put(m->bytes + end, ~m->iso);
     put(m->bytes + end + 4, ~word_taken(CASTAGNOLI, m->castagnoli, ~m->iso));
 }
-
-void stopset_whole(StopsetMessage *m, const StopsetKey *key, int64_t check, int64_t mac, int64_t end) {
-    stopset_message(m);
-    stopset_seal(m, check);
-    if (key) stopset_code(key, mac, m->bytes, m->bytes + mac);
-    stopset_seal(m, end);
-}

@@ -326,23 +326,6 @@ STOPSET_API void stopset_message(StopsetMessage *message);
 /* CRC-32 of all bytes before `end`, a multiple of four, then CRC-32C of these and of that; what was summed before is not summed again. */
 STOPSET_API void stopset_seal(StopsetMessage *message, int64_t end);
 
-/* ---- sha256.c: who made a message */
-
-enum { STOPSET_CODE = 16 }; /* bytes of a code, the first of HMAC-SHA256 */
-
-/* A key that was taken in; `swift`: by the processor's own instructions. */
-typedef struct {
-    uint32_t inner[8], outer[8];
-    int32_t swift;
-} StopsetKey;
-
-/* Of at most 64 bytes. */
-STOPSET_API void stopset_key(int64_t length, const uint8_t *secret, StopsetKey *key);
-/* Of `length` bytes, 16 bytes. */
-STOPSET_API void stopset_code(const StopsetKey *key, int64_t length, const uint8_t *data, uint8_t *code);
-/* The whole message: numbers, first check at byte `check`, code (or none) at `mac` of all before, last check at `end`. */
-STOPSET_API void stopset_whole(StopsetMessage *message, const StopsetKey *key, int64_t check, int64_t mac, int64_t end);
-
 /* ---- windows.c: envelopes of deviations over all windows of a trial */
 
 typedef struct {
