@@ -12,6 +12,7 @@ import pytest
 from monitor_arm import known_model
 from stopset.monitor.jointstate import JointState, to_json
 from stopset.monitor.pace import ANOTHER, LEAST, LONG, MOST, Pace
+from stopset.monitor.rhythm import HOP, STAMPS, Rhythm
 from stopset.monitor.source import JointStateSource
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -98,3 +99,45 @@ def test_stamps_that_scatter_by_a_quarter_of_a_cycle_hide_another_one_for_second
         said.append(pace.fault)
     assert all(why.startswith("samples come every 4.") for why in said[LONG // 2 : len(slow)])
     assert not any(said[len(slow) + LONG :])
+
+
+@pytest.mark.parametrize(("period", "scatter", "held_up", "lost"), [
+    (0.0041, 1e-3, 0.0, 0.0), (0.0041, 1e-3, 0.03, 0.03), (0.0041, 2e-3, 0.0, 0.0), (0.0041, 2e-3, 0.03, 0.0), (0.0042, 2e-3, 0.03, 0.03),
+    (0.0039, 1e-3, 0.0, 0.0), (0.0039, 2e-3, 0.03, 0.0),
+])  # fmt: skip
+def test_a_cycle_a_little_off_is_told_by_its_line_where_stamps_scatter(
+    period: float, scatter: float, held_up: float, lost: float
+) -> None:
+    """2.5 % beside the tolerated 2, stamps late by up to half a cycle and more: told within five seconds, and then for good."""
+    t = stamps(period, scatter, held_up, 6000)
+    pace, said = Pace(0.004), []
+    for x in t[np.random.default_rng(1).random(len(t)) >= lost].tolist():
+        pace.take(START + x)
+        said.append(pace.why)
+    assert all("samples come every" in why for why in said[1300:]), sum(not why for why in said[1300:])
+
+
+@pytest.mark.parametrize("off", [-5e-4, 5e-4, 0.019])
+@pytest.mark.parametrize(
+    ("scatter", "held_up", "lost"), [(1e-3, 0.03, 0.1), (2e-3, 0.0, 0.1), (2e-3, 0.03, 0.03), (1e-3, 0.0, 0.3)]
+)
+def test_the_line_of_a_tolerated_cycle_is_no_other_one(off: float, scatter: float, held_up: float, lost: float) -> None:
+    """Lost samples make the mean another cycle's, so the line is looked for in all of them."""
+    for seed in range(3):
+        t, rhythm = stamps(0.004 * (1.0 + off), scatter, held_up, 6000), Rhythm(0.004, ANOTHER)
+        t = t[np.random.default_rng(seed).random(len(t)) >= lost]
+        for k in range(STAMPS, len(t), HOP):
+            rhythm.take(t[k - STAMPS : k])
+            assert rhythm.other() == 0.0, k
+
+
+def test_stamps_without_a_cycle_of_their_own_have_no_line() -> None:
+    """Each as late as the one before and by some more now and then, or any instants at all: broad hills, and noise."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        onward = np.cumsum(np.where(rng.random(6000) < 0.2, rng.uniform(0.004, 0.008, 6000), 0.004))
+        for t in (onward, np.cumsum(rng.exponential(0.0041, 6000))):
+            rhythm = Rhythm(0.004, ANOTHER)
+            for k in range(STAMPS, len(t), HOP):
+                rhythm.take(t[k - STAMPS : k])
+                assert rhythm.other() == 0.0, (seed, k)

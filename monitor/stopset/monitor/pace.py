@@ -9,8 +9,12 @@ from array import array
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
+from stopset.monitor.rhythm import HOP, SPECTRA, STAMPS, Rhythm
+
 LEAST, MOST = 32, 128  # intervals that the pace is found from
-LONG, LOOK = 2048, 64  # and where stamps scatter too much for so few: so many, looked at once in so many samples
+LONG, LOOK = 2048, HOP  # and where stamps scatter too much for so few: so many, looked at once in so many samples
 ANOTHER = 0.02  # of the period: farther off is no clock's error but another cycle
 SURE = 4.0  # standard errors of the middle interval, where stamps scatter
 NOT_YET = f"whether samples come at the model's steps is told from {LEAST} intervals; they have not come yet"
@@ -32,6 +36,11 @@ class Pace:
     _taken: int = 0
     _long_why: str = ""
     _looks: int = 0
+    _looked: int = 0  # samples, when it was looked at last
+    _rhythm: Rhythm = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._rhythm = Rhythm(self.period, ANOTHER)
 
     @property
     def fault(self) -> str:
@@ -53,13 +62,23 @@ class Pace:
             self._was_good = not self.why
 
     def _looked_at(self) -> str:
-        """By the last intervals, which are soon others; and by many, whose middle is surer: either may see another cycle."""
+        """By the last intervals, which are soon others; by many, whose middle is surer; and by the line in the spectrum of their
+        stamps, where both are not sure: any may see another cycle."""
         newest = self._taken % len(self._stamps)
         stamps = (self._stamps[newest:] + self._stamps[:newest])[-self._taken :]
+        if self._taken - self._looked > SPECTRA * HOP:  # what was seen then is of another time
+            self._rhythm.forget()
         if self._looks % LOOK == 0:
-            self._long_why = self._said(stamps)
-        self._looks += 1
+            self._long_why = self._said(stamps) or self._of_line(stamps)
+        self._looks, self._looked = self._looks + 1, self._taken
         return self._said(stamps[-1 - MOST :]) or self._long_why
+
+    def _of_line(self, stamps: array[float]) -> str:
+        if len(stamps) < STAMPS:
+            return ""
+        self._rhythm.take(np.array(stamps[-STAMPS:]))
+        seen = self._rhythm.other()
+        return self._words(seen) if seen else ""
 
     def _said(self, stamps: array[float]) -> str:
         """By the middle interval, which lost samples and those held up do not move."""
@@ -70,6 +89,9 @@ class Pace:
         scatter = _middle([abs(x - seen) for x in intervals])
         if abs(seen - self.period) <= max(ANOTHER * self.period, SURE * ERROR * scatter / len(intervals) ** 0.5):
             return ""
+        return self._words(seen)
+
+    def _words(self, seen: float) -> str:
         return (
             f"samples come every {seen * 1e3:.3g} ms, the model was identified at steps of {self.period * 1e3:.3g} ms; set the sender's cycle "
             "to that, or identify from recordings taken at the sender's"

@@ -19,9 +19,9 @@ static double absolute(double x) { return x < 0.0 ? -x : x; }
 /* One step for every row: residual and growth of what is unknown (2n,), and the matrices of the states' own step: where a joint's
  * position and speed depend on nothing but these two, rows (4, n) of position by position and speed, speed by position and
  * speed, and their sizes; else columns of Ad (2n, 2n) and their sizes. `look` (2n,): part of `reach` beyond which a row is looked
- * at closely. */
+ * at closely. `final`: what is outside is counted, else only the distance to the bounds is taken. */
 typedef struct {
-    int decoupled, widen, outside;
+    int decoupled, widen, outside, final;
     double residual[X], growth[X], look[X], worst[2][X], own[X * X], size[X * X];
 } Step;
 
@@ -90,30 +90,45 @@ UNROLLED void step_row(const Step *step, const int n, const int decoupled, doubl
     }
 }
 
-/* Row p against the tube at its age. `final`: what is outside is counted, else only the distance to the bounds is taken. */
-static void look_closely(const StopsetPredictions *s, int64_t p, int64_t age, const double *e, const double *w, int final, Step *step) {
+/* What of row p is outside its bounds low, high (2n,), held against the worst so far. */
+static void contradict(const StopsetPredictions *s, int64_t p, const double *e, const double *low, const double *high, Step *step) {
     const int n2 = s->states;
-    const double *lo = s->lo + age * n2, *hi = s->hi + age * n2;
     for (int i = 0; i < n2; i++) {
-        const double low = lo[i] - w[i], high = hi[i] + w[i], width = high - low, over = e[i] - high, under = low - e[i];
+        const double width = high[i] - low[i], over = e[i] - high[i], under = low[i] - e[i];
         /* written so that what is not a number is outside */
-        if (final && !(over <= 0.0 || high == inf) && !(over / width <= step->worst[0][i])) {
+        if (!(over <= 0.0 || high[i] == inf) && !(over / width <= step->worst[0][i])) {
             step->worst[0][i] = over / width;
             s->row[i] = p;
         }
-        if (final && !(under <= 0.0 || low == -inf) && !(under / width <= step->worst[1][i])) {
+        if (!(under <= 0.0 || low[i] == -inf) && !(under / width <= step->worst[1][i])) {
             step->worst[1][i] = under / width;
             s->row[n2 + i] = p;
         }
-        if (width > 0.0 && width < inf) {
-            const double room = -2.0 * (over > under ? over : under) / width;
-            if (room < s->room[i]) {
-                s->room[i] = room;
-                s->nearest[i] = p;
-            }
-        }
+    }
+}
+
+/* Row p against the tube at its age. */
+UNROLLED void look_closely(const StopsetPredictions *s, const int n2, int64_t p, int64_t age, const double *e, const double *w, Step *step) {
+    const double *lo = s->lo + age * n2, *hi = s->hi + age * n2;
+    double low[X], high[X], room[X];
+    int inside = 1, nearer = 0;
+    for (int i = 0; i < n2; i++) { /* without a branch, so that divisions are made two at a time */
+        low[i] = lo[i] - w[i];
+        high[i] = hi[i] + w[i];
+        const double over = e[i] - high[i], under = low[i] - e[i];
+        room[i] = -2.0 * (over > under ? over : under) / (high[i] - low[i]);
+        inside &= (over <= 0.0) & (under <= 0.0);
+    }
+    if (step->final && !inside) contradict(s, p, e, low, high, step);
+    for (int i = 0; i < n2; i++) nearer |= room[i] < s->room[i];
+    if (!nearer) return;
+    for (int i = 0; i < n2; i++) {
+        const double width = high[i] - low[i];
+        if (!(width > 0.0 && width < inf && room[i] < s->room[i])) continue;
+        s->room[i] = room[i];
+        s->nearest[i] = p;
         /* less by more than the divisions round; what is outside is looked at in any case */
-        const double part = (1.0 - s->room[i]) * (1.0 - 1e-9) - 1e-12;
+        const double part = (1.0 - room[i]) * (1.0 - 1e-9) - 1e-12;
         step->look[i] = part > 1.0 - 1e-9 ? 1.0 - 1e-9 : part > least ? part : least;
     }
 }
@@ -144,26 +159,34 @@ UNROLLED int64_t step_all(const StopsetPredictions *s, const int n, const int de
         if (step->outside) s->foreign[p] = 1;
         double *e = s->e + p * n2, *w = s->w + p * n2;
         step_row(step, n, decoupled, e, w);
-        if (remarkable(step->look, n2, e, w, s->middle + age * n2, s->reach + age * n2)) look_closely(s, p, age, e, w, 1, step);
+        if (remarkable(step->look, n2, e, w, s->middle + age * n2, s->reach + age * n2)) look_closely(s, n2, p, age, e, w, step);
     }
     return live;
 }
 
 /* The rows that were nearest to a bound at the last sample tell where to look now. */
-static void look_ahead(const StopsetPredictions *s, Step *step) {
-    const int n2 = s->states;
-    int64_t last[X], before = -1;
+UNROLLED void look_ahead(const StopsetPredictions *s, const int n, const int decoupled, Step *step) {
+    const int n2 = 2 * n;
+    int64_t last[X];
     memcpy(last, s->nearest, (size_t)n2 * sizeof *last);
     for (int i = 0; i < n2; i++) {
         const int64_t p = last[i];
-        if (p == before || p < 0 || p >= s->rows || s->age[p] < 0 || s->age[p] + 1 >= s->ages) continue;
+        int known = p < 0 || p >= s->rows || s->age[p] < 0 || s->age[p] + 1 >= s->ages;
+        for (int k = 0; k < i && !known; k++) known = last[k] == p;
+        if (known) continue;
         double e[X], w[X];
         memcpy(e, s->e + p * n2, (size_t)n2 * sizeof *e);
         memcpy(w, s->w + p * n2, (size_t)n2 * sizeof *w);
-        step_row(step, n2 / 2, step->decoupled, e, w);
-        look_closely(s, p, s->age[p] + 1, e, w, 0, step);
-        before = p;
+        step_row(step, n, decoupled, e, w);
+        look_closely(s, n2, p, s->age[p] + 1, e, w, step);
     }
+}
+
+UNROLLED int64_t look_and_step(const StopsetPredictions *s, const int n, const int decoupled, Step *step, int64_t seen[2]) {
+    step->final = 0;
+    look_ahead(s, n, decoupled, step);
+    step->final = 1;
+    return step_all(s, n, decoupled, step, seen);
 }
 
 int64_t stopset_advance(const StopsetPredictions *s, const StopsetReading *reading, int outside, int widen, int64_t seen[2]) {
@@ -188,11 +211,10 @@ int64_t stopset_advance(const StopsetPredictions *s, const StopsetReading *readi
     step.decoupled = on_their_own(s, step.own);
     for (int k = 0; !step.decoupled && k < n2 * n2; k++) step.own[k] = s->Ad[k % n2 * n2 + k / n2];
     for (int k = 0; k < (step.decoupled ? 4 * n : n2 * n2); k++) step.size[k] = absolute(step.own[k]);
-    look_ahead(s, &step);
-    const int64_t live = step.decoupled && n == 6   ? step_all(s, 6, 1, &step, seen)
-                         : step.decoupled && n == 7 ? step_all(s, 7, 1, &step, seen)
-                         : step.decoupled           ? step_all(s, n, 1, &step, seen)
-                                                : step_all(s, n, 0, &step, seen);
+    const int64_t live = step.decoupled && n == 6   ? look_and_step(s, 6, 1, &step, seen)
+                         : step.decoupled && n == 7 ? look_and_step(s, 7, 1, &step, seen)
+                         : step.decoupled           ? look_and_step(s, n, 1, &step, seen)
+                                                : look_and_step(s, n, 0, &step, seen);
     for (int i = 0; i < 2 * n2; i++) seen[1] += s->row[i] >= 0;
     for (int i = 0; i < n2; i++)
         if (s->room[i] == inf) s->room[i] = 1.0; /* no bound: as far from one as can be */
