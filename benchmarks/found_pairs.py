@@ -236,7 +236,8 @@ def judged(found: Diagnosis, case: Case, robot: Robot, joint: int) -> dict[str, 
         "parameters": [{k: (p.value, p.std) for k, p in r.parameters.items()} for r in found.ranked],
         "notes": list(found.notes), "taken_out": [dict(x) for x in found.taken_out],
         "unexplained": [(u.joint, u.size, u.depends_on, u.resembles) for u in found.unexplained],
-        "excess": found.excess,
+        "excess": found.excess, "one_of": [list(r.one_of) for r in found.alternatives],
+        "changed": [c.says for c in found.changed],
     }  # fmt: skip
 
 

@@ -45,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
             std = "" if p.std is None else f" +- {p.std:.2g}"
             say(f"     {symbol} = {p.value:.4g}{std} {p.unit}")
         say(f"     look at: {r.look_at}")
-    for c in found.changed if found.verdict == "missing" else ():
+    for r in found.alternatives:
+        say(f"one of {', '.join(r.one_of)}: {r.errors}; {r.alike}. {r.says}")
+    for c in found.changed if found.verdict in ("missing", "unknown") else ():
         say(f"also changed since identification: {c.says}")
     for group in found.rivals:
         say(f"these data hardly separate {' from '.join(group)}")

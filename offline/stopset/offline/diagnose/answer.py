@@ -42,11 +42,21 @@ class Ranked:
     surplus: bool = False  # that it is one more than are named is all that speaks against it
     together: tuple[str, ...] = ()  # effects that it must be added with: one of these alone makes some error larger
     at: str = ""  # the joint that the errors are of, where it acts at several
+    alternatives: tuple[
+        str, ...
+    ] = ()  # effects that these recordings cannot tell from it at its joint: none of them is named alone
+    alike: str = ""  # why they look alike
+    telling: str = ""  # and what would tell them apart
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property
     def label(self) -> str:
         return self.effect if not self.joints else f"{self.effect}:{'+'.join(self.joints)}"
+
+    @property
+    def one_of(self) -> tuple[str, ...]:
+        """Its label and those of its alternatives."""
+        return (self.label, *(self.label.replace(self.effect, other, 1) for other in self.alternatives))
 
     @property
     def whose(self) -> str:
@@ -79,7 +89,10 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """``verdict``: missing, none or unknown; see ``interfaces``, diagnose --json."""
+    """``verdict``: missing, none or unknown; see ``interfaces``, diagnose --json.
+
+    Unknown is also what only ``alternatives`` were found of.
+    """
 
     verdict: str
     ranked: tuple[Ranked, ...]
@@ -95,6 +108,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()  # on what the recordings were measured against
     changed: tuple[Change, ...] = ()  # since identification, also beside what is missing
     taken_out: tuple[Mapping[str, Any], ...] = ()  # by identification, before anything was asked: see `Nominal.taken_out`
+    alternatives: tuple[Ranked, ...] = ()  # found, and one of several that look alike here: none of them is named
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def _repr_html_(self) -> str:
@@ -128,6 +142,16 @@ class Diagnosis:
                 for r in self.ranked
             ],
             "rivals": [list(group) for group in self.rivals],
+            "alternatives": [
+                {
+                    "one_of": list(r.one_of),
+                    "why": r.alike,
+                    "error_before": r.error_before,
+                    "error_after": r.error_after,
+                    "unit": r.unit,
+                }
+                for r in self.alternatives
+            ],
             "depends_on": list(self.depends_on),
             "not_identifiable": [
                 {"effect": b.effect, "joints": list(b.joints), "why": b.why, "experiment": b.experiment}

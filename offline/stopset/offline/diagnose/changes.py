@@ -10,7 +10,7 @@ hardly tell.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -48,6 +48,7 @@ class Change:
     error_after: float
     at: str
     since: str = ""
+    alike: tuple[str, ...] = ()  # laws that explain as much of it in these recordings
 
     @property
     def label(self) -> str:
@@ -108,7 +109,8 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
             rivals = [(c.only(here), since(c)) for c in alike if candidate.friction and c.joint == candidate.joint]
             candidate, judged = _truer(candidate, judged, rivals)
             found = [c for c in found if c.levels != candidate.levels]
-            out += _said(model, candidate, judged, begins[onset] if onset else "")
+            same_law = _as_good(candidate, judged, rivals)
+            out += [replace(c, alike=same_law) for c in _said(model, candidate, judged, begins[onset] if onset else "")]
             left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)
     return tuple(out[: limit.CHANGES])
 
@@ -124,6 +126,16 @@ def _truer(c: LevelChange, judged: _Judged, rivals: Sequence[tuple[LevelChange, 
     j = c.joint
     less = [t for t in rivals if t[1].certain(t[0]).all() and t[1].after[j] < (1.0 - limit.CHANGE_LOWERED) * judged.after[j]]
     return min(less, key=lambda t: float(t[1].after[j]), default=(c, judged))
+
+
+def _as_good(c: LevelChange, judged: _Judged, rivals: Sequence[tuple[LevelChange, _Judged]]) -> tuple[str, ...]:
+    """Laws that look like a changed level and explain it as well, for want of other loads or speeds in these recordings.
+
+    None where ``c`` is such a law itself: it left clearly less than the level.
+    """
+    if any(c is x for x, _ in rivals):
+        return ()
+    return tuple(x.levels[0].effect for x, j in rivals if j.certain(x).all() and j.gain > limit.ALIKE * judged.gain)
 
 
 def _onset(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelChange) -> int:

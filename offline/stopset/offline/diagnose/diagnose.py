@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from stopset.artifact import Model
@@ -69,7 +69,8 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         *blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names),
         *(b for b in x.plays.blind if names is None or b.effect in names),
     )
-    rivals = _rivals(engine, claims) if verdict == "missing" else ()
+    undecided = tuple(r for r in ranked if r.alternatives and verdict == "missing")
+    rivals = _rivals(engine, claims, [x for r in undecided for x in r.one_of[1:]]) if verdict == "missing" else ()
     joints = engine.data.joints
     worst, shown = left.worst, None
     if worst is not None and (verdict == "unknown" or left.depends):
@@ -79,10 +80,13 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         "missing": lambda: advice.to_decide(rivals),
         "none": lambda: advice.to_see(blind),
     }[verdict]()
-    named = (*(ranked if verdict == "missing" else ()), *loose)
+    if undecided:
+        next_experiment = " ".join(dict.fromkeys(r.telling for r in undecided))
+    named = (*(r for r in ranked if verdict == "missing" and not r.alternatives), *loose)
     return Diagnosis(
-        verdict="missing" if loose else verdict,
+        verdict="missing" if loose else "unknown" if undecided and not named else verdict,
         ranked=named,
+        alternatives=undecided,
         claims=(*ranked, *loose),
         rivals=rivals,
         depends_on=_depends(verdict, worst, shown, joints),
@@ -123,8 +127,8 @@ def diagnose_model(
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
         return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
 
-    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), notes=(*without, *q.notes, *found.notes))
-    found = replace(found, taken_out=q.taken_out)
+    found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), alternatives=marked(found.alternatives))
+    found = replace(found, taken_out=q.taken_out, notes=(*without, *q.notes, *found.notes))
     if q.known is None:
         return found, q.against
     progress("what changed since identification")
@@ -135,34 +139,46 @@ def diagnose_model(
 def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
     """The answer with what changed since identification: that is the verdict where nothing is missing besides.
 
-    A level that leaves something unknown at its joint is no change: what is left there is told to resemble it.
+    A level that leaves something unknown at its joint is no change: what is left there is told to resemble it.  Where it explains most, but
+    leaves more than noise, its form is not quite that of the cause: then a law that explains as much may as well be it.
     """
     none = {r.label for r in x.ranked if r.objection}  # what is no finding of these recordings is no change either
     changed = [c for c in changed if c.label not in none]
     sound = [c for c in changed if _accounts(x, c)]
     refuted = [c for c in changed if c not in sound]
     found = replace(found, unexplained=tuple(_resembling(u, refuted) for u in found.unexplained))
-    named = {r.label for r in found.ranked}
-    changed = [c for c in sound if c.label not in named]
+    named_already = {label for r in (*found.ranked, *found.alternatives) for label in r.one_of}
+    changed = [c if _leaves_more(x, c) else replace(c, alike=()) for c in sound if c.label not in named_already]
     if not changed:
         return found
-    if found.verdict == "missing":
+    if found.verdict == "missing" or found.alternatives:
         return replace(found, changed=tuple(changed))
-    ranked = tuple(
-        Ranked(
-            c.effect, () if c.joint is None else (c.joint,), abs(c.after - c.before) / max(c.std, 1e-12), c.error_before, c.error_after,
-            {c.symbol: Parameter(c.after - c.before, c.unit, c.std)}, "torque against the model", c.says, change=c,
-        )
-        for c in changed
-    )  # fmt: skip
+    ranked = [_as_ranked(c) for c in changed]
+    undecided = tuple(r for r in ranked if r.alternatives)
+    named = tuple(r for r in ranked if not r.alternatives)
     left = tuple(_beside(u, changed) for u in found.unexplained)
-    answer = replace(found, verdict="changed", ranked=ranked, changed=tuple(changed), next_experiment=SINCE, unexplained=left)
+    todo = " ".join(x for x in (*dict.fromkeys(r.telling for r in undecided), SINCE) if x)
+    answer = replace(
+        found, verdict="changed" if named else "unknown", ranked=named, alternatives=undecided, unexplained=left, next_experiment=todo,
+        changed=tuple(c for c in changed if not c.alike),
+    )  # fmt: skip
     if found.verdict != "unknown":
         return answer
     rest = "beside what changed, something is left that no effect explains"
     where = ", ".join(f"{u.joint} {u.size:.3g} N m" for u in left)
-    todo = " ".join(x for x in (SINCE, found.next_experiment) if x)
+    todo = " ".join(x for x in (todo, found.next_experiment) if x)
     return replace(answer, notes=(*found.notes, f"{rest}: {where}" if where else rest), next_experiment=todo)
+
+
+def _as_ranked(c: Change) -> Ranked:
+    """A change as an entry of the answer."""
+    of = "its" if c.joint is None else f"{c.joint}'s"
+    return Ranked(
+        c.effect, () if c.joint is None else (c.joint,), abs(c.after - c.before) / max(c.std, 1e-12), c.error_before, c.error_after,
+        {c.symbol: Parameter(c.after - c.before, c.unit, c.std)}, "torque against the model", c.says, change=c, alternatives=c.alike,
+        alike="each explains it at these loads and speeds, and leaves more than noise" if c.alike else "",
+        telling=f"Record {of} motion under other loads and at other speeds." if c.alike else "",
+    )  # fmt: skip
 
 
 def _beside(left: Unexplained, changed: Sequence[Change]) -> Unexplained:
@@ -173,6 +189,12 @@ def _beside(left: Unexplained, changed: Sequence[Change]) -> Unexplained:
 def _accounts(x: Examination, c: Change) -> bool:
     share = (c.error_after / max(c.error_before, 1e-12)) ** 2
     return accounts_for(x.found, x.left, x.engine.data.joints.index(c.at), share)
+
+
+def _leaves_more(x: Examination, c: Change) -> bool:
+    """Whether at a change's joint more is left than noise."""
+    joint = x.engine.data.joints.index(c.at)
+    return joint in x.left.depends or joint in x.left.noisy
 
 
 def _resembling(left: Unexplained, refuted: Sequence[Change]) -> Unexplained:
@@ -209,11 +231,13 @@ def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
     return tuple(out)
 
 
-def _rivals(engine: Engine, claims: Sequence[Claim]) -> tuple[tuple[str, ...], ...]:
+def _rivals(engine: Engine, claims: Sequence[Claim], stated: Collection[str]) -> tuple[tuple[str, ...], ...]:
+    """Claims, each with what it beat narrowly and is not ``stated`` beside it anyway."""
     groups = []
     for claim in claims:
-        if claim.rivals:
-            groups.append(tuple(label(engine, s) for s in (claim.scored, *claim.rivals)))
+        others = tuple(x for x in (label(engine, s) for s in claim.rivals) if x not in stated)
+        if others:
+            groups.append((label(engine, claim.scored), *others))
     return tuple(groups)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.alike import alike
 from stopset.offline.diagnose.answer import Parameter, Ranked
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -158,12 +159,14 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         surplus = bool(why) and not objections[k]
         lowered = 1.0 - float(taken.stated[1][taken.joint] / taken.stated[0][taken.joint])
+        same = alike(engine, claim)
         words = says(c.effect, fitted, given, described=not engine.modelled, lowered=lowered)
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
                 float(taken.stated[1][taken.joint]), given, c.effect.look_at, words + (INNER if taken.inner else ""),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus, at=joints[taken.joint],
+                alternatives=same.effects, alike=same.why, telling=same.experiment,
             )
         )  # fmt: skip
         error = error if why else taken.after

@@ -34,6 +34,7 @@ AT_REST = 0.04  # [rad/s]
 ACCELERATED = 0.01  # of the square of what the joints accelerate at
 DROWNED = 0.1  # of an acceleration's whitened sum of squares
 TRAVEL = 0.2  # [rad]
+STRAIGHT = 1.34  # [rad]
 FEWEST_ROWS = 50
 RIPPLE_SEPARATION = 4.0  # [cycles per turn]
 
@@ -327,6 +328,9 @@ SETTLED = (
 
 # of a finished model: no model file rests on these
 LATER = (
+    Threshold("STRAIGHT", "movement of a joint below which no straight law of its position is told from a piece of a bent one", "rad",
+              "a gas spring's sine about its rest is `SAME_LAW` off a straight line over 1.34 rad. Drawn trajectories of 30 s move a joint by 0.5 to "
+              "1.2 rad, programs by 1.8 to 3.1"),
     Threshold("CHANGE_LOWERED", "held-out torque error that a change since identification lowers at a joint of its own", "%",
               "chosen"),
     Threshold("CHANGE_SURE", "standard errors by which a level must have changed", "",

@@ -13,6 +13,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Sc
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
+from stopset.offline.diagnose.search.held_out import held_out
 from stopset.offline.diagnose.search.moment_arms import distinct, geared
 from stopset.offline.diagnose.search.refine import refine
 from stopset.offline.diagnose.search.settled import Settled, refines, refitted
@@ -30,7 +31,7 @@ def settle(
     not quite true, as one with levers of its own does that is `distinct`.  One that explains the rows with numbers that it cannot have,
     as a spring that pushes, gives way to the likeliest that need not, but to no finer form of itself.  One to none of whose numbers the
     rows give a size, as two terms and levers that bend into any curve, gives way to the likeliest of those that have one and lack less
-    than a claim's evidence.
+    than a claim's evidence.  A finer law that does not lower the held-out error of its plainer form, as any claim must, is not named for it.
     """
     first = refitted(now, best[0], hyper)
     lacks = [first.taken_up * _touch(s.candidate, first.candidate) + limit.THRESHOLD for s in best]
@@ -52,7 +53,21 @@ def settle(
     if not top.weighed:
         near_it = (x for x in settled if x.possible and x.evidence > top.evidence - limit.THRESHOLD and x.weighed)
         top = max(near_it, key=lambda x: x.evidence, default=top)
+    top = max((x for x in settled if _leaves_as_little(x, top)), key=lambda x: x.evidence, default=top)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
+
+
+def _leaves_as_little(plainer: Settled, top: Settled) -> bool:
+    """Whether a plainer form of the ``top`` law leaves as little, but for what a claim must lower, on motions that were not fitted.
+
+    Evidence of many rows is large for a form that is off by what no prediction shows.
+    """
+    if not (refines(top.candidate, plainer.candidate) and plainer.possible and plainer.weighed):
+        return False
+    (j,) = top.candidate.joints
+    finer, other = held_out(top.now, top.hyper), held_out(plainer.now, plainer.hyper)
+    shares = (1.0 - x[j] / max(float(y[j]), 1e-12) for x, y in ((finer.whole, other.whole), (finer.within, other.within)))
+    return all(share <= limit.LOWERED for share in shares)
 
 
 def said_already(active: Sequence[Candidate], c: Candidate) -> bool:
