@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> int:
             say(f"     {symbol} = {p.value:.4g}{std} {p.unit}")
         say(f"     look at: {r.look_at}")
     for r in found.alternatives:
-        say(f"one of {', '.join(r.one_of)}: {r.errors}; {r.alike}. {r.says}")
-    for c in found.changed if found.verdict in ("missing", "unknown") else ():
+        say(f"{r.label} may as well be {' or '.join(r.one_of[1:])}: {r.alike}")
+    for c in found.changed if found.verdict == "missing" else ():
         say(f"also changed since identification: {c.says}")
     for group in found.rivals:
         say(f"these data hardly separate {' from '.join(group)}")

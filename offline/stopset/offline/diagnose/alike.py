@@ -1,4 +1,4 @@
-"""Laws that these recordings cannot tell from a claimed one: none of them is named alone, all are told."""
+"""Laws that these recordings cannot tell from a claimed one: it is named with all of them."""
 
 from __future__ import annotations
 

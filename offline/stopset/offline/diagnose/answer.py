@@ -42,9 +42,7 @@ class Ranked:
     surplus: bool = False  # that it is one more than are named is all that speaks against it
     together: tuple[str, ...] = ()  # effects that it must be added with: one of these alone makes some error larger
     at: str = ""  # the joint that the errors are of, where it acts at several
-    alternatives: tuple[
-        str, ...
-    ] = ()  # effects that these recordings cannot tell from it at its joint: none of them is named alone
+    alternatives: tuple[str, ...] = ()  # effects that these recordings cannot tell from it at its joint: it is named with them
     alike: str = ""  # why they look alike
     telling: str = ""  # and what would tell them apart
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
@@ -89,10 +87,7 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """``verdict``: missing, none or unknown; see ``interfaces``, diagnose --json.
-
-    Unknown is also what only ``alternatives`` were found of.
-    """
+    """``verdict``: missing, none or unknown; see ``interfaces``, diagnose --json."""
 
     verdict: str
     ranked: tuple[Ranked, ...]
@@ -108,7 +103,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()  # on what the recordings were measured against
     changed: tuple[Change, ...] = ()  # since identification, also beside what is missing
     taken_out: tuple[Mapping[str, Any], ...] = ()  # by identification, before anything was asked: see `Nominal.taken_out`
-    alternatives: tuple[Ranked, ...] = ()  # found, and one of several that look alike here: none of them is named
+    alternatives: tuple[Ranked, ...] = ()  # of ``ranked`` those that are the plainest of several that look alike here
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
 
     def _repr_html_(self) -> str:
@@ -141,7 +136,7 @@ class Diagnosis:
                 | ({} if r.change is None else {"change": {k: getattr(r.change, k) for k in ("before", "after", "std", "since")}})
                 for r in self.ranked
             ],
-            "rivals": [list(group) for group in self.rivals],
+            "rivals": [list(group) for group in (*(r.one_of for r in self.alternatives), *self.rivals)],
             "alternatives": [
                 {
                     "one_of": list(r.one_of),

@@ -82,9 +82,9 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     }[verdict]()
     if undecided:
         next_experiment = " ".join(dict.fromkeys(r.telling for r in undecided))
-    named = (*(r for r in ranked if verdict == "missing" and not r.alternatives), *loose)
+    named = (*(ranked if verdict == "missing" else ()), *loose)
     return Diagnosis(
-        verdict="missing" if loose else "unknown" if undecided and not named else verdict,
+        verdict="missing" if loose else verdict,
         ranked=named,
         alternatives=undecided,
         claims=(*ranked, *loose),
@@ -147,20 +147,18 @@ def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -
     sound = [c for c in changed if _accounts(x, c)]
     refuted = [c for c in changed if c not in sound]
     found = replace(found, unexplained=tuple(_resembling(u, refuted) for u in found.unexplained))
-    named_already = {label for r in (*found.ranked, *found.alternatives) for label in r.one_of}
+    named_already = {label for r in found.ranked for label in r.one_of}
     changed = [c if _leaves_more(x, c) else replace(c, alike=()) for c in sound if c.label not in named_already]
     if not changed:
         return found
-    if found.verdict == "missing" or found.alternatives:
+    if found.verdict == "missing":
         return replace(found, changed=tuple(changed))
-    ranked = [_as_ranked(c) for c in changed]
+    ranked = tuple(_as_ranked(c) for c in changed)
     undecided = tuple(r for r in ranked if r.alternatives)
-    named = tuple(r for r in ranked if not r.alternatives)
     left = tuple(_beside(u, changed) for u in found.unexplained)
     todo = " ".join(x for x in (*dict.fromkeys(r.telling for r in undecided), SINCE) if x)
     answer = replace(
-        found, verdict="changed" if named else "unknown", ranked=named, alternatives=undecided, unexplained=left, next_experiment=todo,
-        changed=tuple(c for c in changed if not c.alike),
+        found, verdict="changed", ranked=ranked, alternatives=undecided, unexplained=left, next_experiment=todo, changed=tuple(changed),
     )  # fmt: skip
     if found.verdict != "unknown":
         return answer

@@ -44,8 +44,8 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
     for note in found.notes:
         out.text(f"{note[0].upper()}{note[1:]}.")
     for r in found.alternatives:
-        out.text(f"One of {', '.join(r.one_of)}: {r.errors}; {r.alike}. {r.says}")
-    for c in found.changed if found.verdict in ("missing", "unknown") else ():
+        out.text(f"{_place(r)[0].upper()}{_place(r)[1:]} may as well be {' or '.join(r.one_of[1:])}: {r.alike}.")
+    for c in found.changed if found.verdict == "missing" else ():
         out.text(f"Also changed since identification: {c.says}")
     _partials(out, found)
     if found.ranked:
@@ -76,9 +76,6 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
 
 def _answer(found: Diagnosis) -> str:
     """The verdict, and of the best effect what it takes off the error at its own joint."""
-    if found.alternatives and not found.ranked:
-        choices = "; one of ".join(", ".join(r.one_of) for r in found.alternatives)
-        return f"unknown: Found, but these recordings tell only that it is one of {choices}."
     if not found.ranked:
         return WORDS.get(found.verdict, f"{found.verdict}.")
     first, *more = found.ranked

@@ -141,7 +141,7 @@ function diagnose(models, at, report) {
   return fill('diagnose', k < at ? el('p', {className: 'note'}, `Of the revision before ${taken.join(', ')}: what is left of this list after that, Diagnose tells anew.`) : null,
     el('p', null, el('b', {className: 'big'}, d.verdict), ` (against the ${d.against})`),
     ...d.ranked_effects.map((e, i) => card(d, e, (d.evidence || [])[i], there(e), taken.includes(e.effect + ':' + (there(e) || '')))),
-    ...(d.alternatives || []).map(a => el('p', null, `One of ${a.one_of.join(', ')}: held-out error ${num(a.error_before)} → ${num(a.error_after)} ${a.unit}; ${a.why}.`)),
+    ...(d.alternatives || []).map(a => el('p', null, `${a.one_of[0]} may as well be ${a.one_of.slice(1).join(' or ')}: ${a.why}.`)),
     d.depends_on.length ? small('What is left depends on: ' + d.depends_on.join(', ')) : null, decides(d, models[at].answers.plan, report('plan-' + at)),
     (d.not_identifiable || []).length ? el('details', null, el('summary', null, `Not identifiable from these motions: ${d.not_identifiable.length} effects`),
       table('Not identifiable', ['effect', 'why', 'what would show it'], d.not_identifiable.map(b => [words(b.effect || b), words(b.why || ''), words(b.experiment || '')]))) : null);
