@@ -96,8 +96,8 @@ def _check(head: dict[str, object], robot: Robot, path: str | Path | BytesIO) ->
 def _square(upper: np.ndarray, c: int, schema: int) -> np.ndarray:
     """(..., c, c) symmetric matrices from their upper triangles; sums of before reversals were summed are those of motions without any."""
     reversals = c - 1 - len(DELAYS)
-    kept = np.arange(c) if schema == SCHEMA else np.delete(np.arange(c), reversals)
-    rows, columns = (kept[k] for k in np.triu_indices(len(kept)))
+    stored = np.arange(c) if schema == SCHEMA else np.delete(np.arange(c), reversals)
+    rows, columns = (stored[k] for k in np.triu_indices(len(stored)))
     if upper.shape[-1] != len(rows):
         raise ValueError(f"{upper.shape[-1]} sums, {len(rows)} expected")
     out = np.zeros((*upper.shape[:-1], c, c))
