@@ -229,7 +229,7 @@ def odd(s: Scenario, drag: float) -> Recordings:
 def test_a_level_accounts_for_a_joint_as_a_claim_must(pair: Pair) -> None:
     """R-993: where only noise is left any change will do; where more is, it must explain half of what is not noise."""
     q = question(pair.model, odd(pair.scenario, drag=0.0))
-    x = examine(q.robot, q.asked, q.fitted, known=q.known)
+    x = examine(q.robot, q.asked, q.fitted, q.before)
     found, left = x.found, x.left
     assert DRAGGING in left.noisy and not {0, 2} & {*left.noisy, *left.depends}
     assert all(accounts_for(found, left, j, 0.99) for j in (0, 2))

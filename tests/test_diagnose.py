@@ -25,13 +25,13 @@ from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.explain.residual import slow_excess
 from stopset.offline.diagnose.rows.noise import Whitening, autocovariance
 from stopset.offline.diagnose.rows.prepare import Kernel
-from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.search import search as search_module
 from stopset.offline.diagnose.search.held_out import HeldOut
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.refine import refine, refined
 from stopset.offline.diagnose.search.wanted import LAGS, wanted
 from stopset.offline.diagnose.thresholds import BEGINNINGS, QUIET, SCATTERS, SENSORS, THRESHOLD, WANDER
+from stopset.offline.nominal.stamps import white
 from stopset.recording import Recording, Recordings, read_recordings
 from stopset.robot import Robot
 from stopset.simulation import prepare

@@ -118,9 +118,8 @@ FINENESS = (
     ("explain/residual", "BINS FEW_BINS BLOCK", "how finely a pattern is drawn"),
     ("evidence/uncertainty", "STEP TWO_SIDES", "of a numerical derivative; of an interval"),
     ("rows/noise", "ORDER", "how far a prediction looks back"),
-    ("rows/prepare", "KERNEL LIGHT ROW_STEP WIDER GOLDEN ONE_DIRECTION", "how rows are smoothed and thinned; rounding"),
+    ("rows/prepare", "KERNEL LIGHT ROW_STEP WIDER ONE_DIRECTION", "how rows are smoothed and thinned; rounding"),
     ("rows/rows", "DEPENDENT", "rounding"),
-    ("rows/sampling", "FOLLOW", "how a clock is tracked"),
     ("search/refine", "FINEST_LAG", "where a search ends"),
     ("search/settled", "PARTS", "how finely the slope of a torque over the position is looked at"),
     (

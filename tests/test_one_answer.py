@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from stopset.artifact import load_model, save_model
-from stopset.offline.campaign.settings import settings_of
+from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.question import common_lags, question
 from stopset.offline.nominal.nominal import LOW_PASS
+from stopset.offline.revise import revise
 from stopset.offline.revise.revise import add
+from stopset.progress import silent
 from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -69,7 +74,35 @@ def test_an_effect_answers_for_no_friction_that_the_evidence_chooses_beside_it(t
     # joint by joint the widths are held against those of the same recordings, as the sum is: the model's own were of others
     assert done.without is not None and done.without is not model
     assert float(done.without.powered.U.width.sum()) == pytest.approx(done.before["sum_U_width"])
-    # what decided stands in the file, and comes back as it was
     save_model(done.model, tmp_path / "m.json")
-    settings = settings_of(load_model(tmp_path / "m.json"))
-    assert isinstance(settings.friction_among, tuple) and "cubic_viscous:arm_1_joint" not in settings.friction_among
+    assert settings_of(load_model(tmp_path / "m.json")) == settings_of(done.model)
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_what_the_evidence_chooses_beside_an_effect_and_widens_the_sets_is_left_out_for_good(
+    monkeypatch: pytest.MonkeyPatch, grows: bool
+) -> None:
+    """Whether the evidence speaks for it in a recording hangs on its last digits; what becomes of it does not."""
+
+    def made(width: float, *chosen: str) -> SimpleNamespace:
+        after = {"sum_U_width": width, "sum_U_width_without_margin": width}
+        return SimpleNamespace(provenance={"chosen": list(chosen)}, revisions=[SimpleNamespace(after=after)])
+
+    asked: list[Settings] = []
+
+    def identified(robot: object, source: object, settings: Settings, *rest: object, **known: object) -> SimpleNamespace:
+        asked.append(settings)
+        wide = grows and settings.friction_among is None
+        return SimpleNamespace(model=made(1.13, "load_coulomb:a", "cubic_viscous:a") if wide else made(0.9, "load_coulomb:a"))
+
+    model = made(1.0, "load_coulomb:a")
+    model.robot = SimpleNamespace(as_described=None)
+    monkeypatch.setattr(revise, "identified", identified)
+    monkeypatch.setattr(revise, "own", lambda model, meta: True)
+    verdict: Any = SimpleNamespace(settings=Settings(), known=())
+    found, _, refused = revise._revision(model, SimpleNamespace(meta=None), verdict, silent, force=False, keep=None)  # type: ignore[arg-type]
+    assert not refused and found.model.provenance["chosen"] == ["load_coulomb:a"]
+    assert [s.friction_among for s in asked] == ([None, ("load_coulomb:a",)] if grows else [None])
+    # what decided stands in the file, and comes back as it was
+    stored: Any = SimpleNamespace(provenance={"settings": json.loads(json.dumps(asdict(asked[-1])))})
+    assert settings_of(stored) == asked[-1]

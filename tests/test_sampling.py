@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from stopset.errors import RecordingError
-from stopset.offline.diagnose.rows.prepare import _white as white
 from stopset.offline.diagnose.rows.prepare import prepare
 from stopset.offline.diagnose.rows.sampling import in_words, sampled
 from stopset.recording import Meta, Recording, Recordings
@@ -28,7 +27,7 @@ def recorded(stamps: np.ndarray, taken: np.ndarray) -> Recording:
 def test_stamps_that_scatter_about_a_clock_are_read_as_that_clock() -> None:
     clock = DT * np.arange(N)
     stamps = np.sort(clock + np.random.default_rng(1).normal(0, 1e-3, N))
-    got = sampled(recorded(stamps, clock), DT, white)
+    got = sampled(recorded(stamps, clock), DT)
     assert got.scatter == pytest.approx(1e-3, rel=0.1) and not got.torn.any() and got.lost == 0
     off = got.q - motion(got.t)
     assert np.std(off - off.mean(axis=0)) < 5 * NOISE  # read as stamped: a millisecond at 1.7 rad/s, 1e-3
@@ -40,13 +39,13 @@ def test_a_stamp_more_than_half_a_period_late_is_no_lost_sample() -> None:
     clock = DT * np.arange(N)
     stamps = clock + np.random.default_rng(1).normal(0, 5e-4, N)
     stamps[[300, 700, 1100]] += [0.62 * DT, -0.58 * DT, 0.55 * DT]
-    got = sampled(recorded(np.sort(stamps), clock), DT, white)
+    got = sampled(recorded(np.sort(stamps), clock), DT)
     assert got.lost == 0 and not got.torn.any() and 0 < got.scatter < 1e-3
 
 
 def test_stamps_of_a_clock_that_is_uneven_are_believed() -> None:
     taken = np.cumsum(DT * np.random.default_rng(1).uniform(0.7, 1.3, N))
-    got = sampled(recorded(taken, taken), DT, white)
+    got = sampled(recorded(taken, taken), DT)
     assert got.scatter == 0.0 and not in_words([got])
     assert (
         np.abs(got.q - motion(got.t))[5:-5].max() < 8 * NOISE
@@ -61,7 +60,7 @@ def test_what_lies_beside_a_lost_sample_is_asked_for_nothing(scatter: float) -> 
     clock = DT * np.arange(N)[received]
     stamps = np.sort(clock + rng.normal(0, 1.0, len(clock)) * scatter)
     r = recorded(stamps, clock)
-    got = sampled(r, DT, white)
+    got = sampled(r, DT)
     assert got.lost == N - received.sum() and f"{got.lost} samples are lost" in in_words([got])[-1]
     middles = 0.5 * (clock[1:] + clock[:-1])[np.diff(clock) > 1.5 * DT]
     assert all(got.torn[np.argmin(np.abs(got.t - t))] for t in middles)
@@ -76,7 +75,7 @@ def test_what_lies_beside_a_lost_sample_is_asked_for_nothing(scatter: float) -> 
 def test_even_stamps_are_left_as_they_are() -> None:
     t = DT * np.arange(N)
     r = recorded(t, t)
-    got = sampled(r, DT, white)
+    got = sampled(r, DT)
     assert got.q is r.q and got.tau is r.tau and not in_words([got])
 
 

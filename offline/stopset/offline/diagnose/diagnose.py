@@ -12,7 +12,7 @@ from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexpl
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.engine import Engine
-from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.diagnose.evidence.priors import Beforehand, Known
 from stopset.offline.diagnose.examination import Examination, examine
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
@@ -52,7 +52,7 @@ def diagnose(
     check_readings(robot, recordings.meta, recordings)
     if not any(moves(r) for r in recordings):
         return standing(robot, recordings, fitted)
-    return answered(examine(robot, recordings, fitted, tolerance, names, known), names)
+    return answered(examine(robot, recordings, fitted, Beforehand(tolerance, known), names), names)
 
 
 def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
@@ -120,7 +120,7 @@ def diagnose_model(
     q = question(model, recordings)
     if not any(map(moves, q.asked)):
         return replace(standing(q.robot, q.recordings, q.fitted), notes=(*without, *q.notes)), q.against
-    x = examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress)
+    x = examine(q.robot, q.asked, q.fitted, q.before, progress=progress)
     found = answered(x, names)
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 

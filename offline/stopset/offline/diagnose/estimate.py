@@ -46,7 +46,7 @@ def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> 
     """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing."""
     if not any(map(moves, q.asked)):
         return Estimates((), None, "nothing: no joint moves in these recordings")
-    x = examine(q.robot, q.asked, q.fitted, known=q.known, progress=progress)
+    x = examine(q.robot, q.asked, q.fitted, q.before, progress=progress)
     out = _of(x, [(name, _claims(x, name)) for name in names])
     out += _loose(x, names, [e.found.label for e in out])
     named = {e.name for e in out}
@@ -54,7 +54,7 @@ def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> 
         if name in named:
             continue
         beside = (*q.fitted, *(e.fitted for e in out))
-        alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], known=q.known, progress=progress)
+        alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], before=q.before, progress=progress)
         out += _of(alone, [(name, _claims(alone, name))])
     return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before.whole, judged_on(x.engine))
 

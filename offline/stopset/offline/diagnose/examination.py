@@ -15,7 +15,7 @@ from stopset.offline.diagnose.answer import Parameter, Ranked
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
-from stopset.offline.diagnose.evidence.priors import Known
+from stopset.offline.diagnose.evidence.priors import Beforehand
 from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
@@ -25,7 +25,6 @@ from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
-from stopset.offline.nominal.prior import Tolerance
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -63,15 +62,19 @@ class Examination:
 
 
 def examine(
-    robot: Robot, recordings: Recordings, fitted: Sequence[Fitted] = (), tolerance: Tolerance | None = None,
-    names: Sequence[str] | None = None, known: Known | None = None, progress: Progress = silent,
-) -> Examination:  # fmt: skip
+    robot: Robot,
+    recordings: Recordings,
+    fitted: Sequence[Fitted] = (),
+    before: Beforehand | None = None,
+    names: Sequence[str] | None = None,
+    progress: Progress = silent,
+) -> Examination:
     """Search ``recordings``, of which some trial moves, for what `diagnose` answers about; the arguments are its.
 
-    ``progress`` is given each step.
+    ``before``: what is known before; ``progress`` is given each step.
     """
     progress(f"{many(len(recordings), 'recording')}; preparing their rows")
-    engine = Engine.build(robot, recordings, tolerance, known)
+    engine = Engine.build(robot, recordings, before)
     already = _with_own(Hypothesis(engine), fitted)
     progress(f"{sum(r.size for r in engine.rows)} rows of {engine.data.n} joints; asking every effect of the catalogue")
     found = search(already, names, progress=progress)

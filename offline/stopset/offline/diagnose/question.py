@@ -22,8 +22,8 @@ from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import TorqueModel
 from stopset.offline.compare.restored import restored
 from stopset.offline.diagnose.evidence.baseline import DESCRIBED, baseline, settled
-from stopset.offline.diagnose.evidence.priors import Known
-from stopset.offline.diagnose.rows.sampling import in_step
+from stopset.offline.diagnose.evidence.priors import Beforehand, Known
+from stopset.offline.diagnose.rows.sampling import in_step, period_of, whole_samples
 from stopset.offline.diagnose.standing import moves
 from stopset.offline.inspect.gate import check_one_state, check_torque, check_unit
 from stopset.offline.nominal.delay import estimate_delay, lag_in_words, own_clock
@@ -33,6 +33,7 @@ from stopset.offline.nominal.normal_equations import accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.recording import Recordings, SuiteKey
 from stopset.robot import Robot
+from stopset.types import Array
 
 Lags = tuple[Mapping[str, Any], ...]  # entries of `lag_entry`
 
@@ -53,6 +54,11 @@ class Inquiry:
     against: str
     notes: tuple[str, ...] = ()
     taken_out: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def before(self) -> Beforehand:
+        """What is known of the recordings before they are asked."""
+        return Beforehand(None, self.known, taken_std(self.robot.joints, self.asked, self.taken_out))
 
     @property
     def asked(self) -> Recordings:
@@ -134,8 +140,22 @@ def in_time(
     """
     if cutoff:
         recordings = replace(recordings, trials=tuple(restored(body, recordings, cutoff)))
+    return in_step(recordings, *_common(taken_out))
+
+
+def _common(taken_out: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
+    """[s] how late all joints' torque is, by what was taken out, and how far that may be off."""
     lags = common_lags(taken_out)
-    return in_step(recordings, -sum(float(x["value"]) for x in lags), sum(float(x["std"]) for x in lags))
+    return -sum(float(x["value"]) for x in lags), sum(float(x["std"]) for x in lags)
+
+
+def taken_std(joints: Sequence[str], recordings: Recordings, taken_out: Sequence[Mapping[str, Any]]) -> Array:
+    """(n,) [s] how far off the lag is that was taken out of each joint's torque: that of all, where it was, and the joint's own."""
+    moving = [r for r in recordings if r.phase != "static" and len(r.t) > 1]
+    lag, std = _common(taken_out)
+    all_of_them = std if moving and whole_samples(lag, std, period_of(moving)) else 0.0
+    own = {x["joint"]: float(x["std"]) for x in taken_out if x["joint"] is not None and x["unit"] == "s"}
+    return np.hypot(all_of_them, [own.get(j, 0.0) for j in joints])
 
 
 def common_lags(taken_out: Sequence[Mapping[str, Any]]) -> Lags:

@@ -38,7 +38,7 @@ from stopset.offline.diagnose import compensated, plays, thresholds
 from stopset.offline.diagnose.columns import elasticity
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
-from stopset.offline.diagnose.rows import prepare, rows, sampling
+from stopset.offline.diagnose.rows import prepare, rows
 from stopset.offline.diagnose.search import moment_arms, refine, ripple, settled, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
@@ -61,6 +61,7 @@ from stopset.offline.nominal import (
     qp,
     rotors,
     scale,
+    stamps,
     unidentifiable,
 )  # fmt: skip
 from stopset.reach import nonlinear as flow
@@ -95,10 +96,11 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ),
     ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
     ("preprocessing", filters, "ORDER"),
+    ("stamps", stamps, "FOLLOW NEAR GOLDEN"),
     ("preprocessing", preprocess, "IRREGULAR GAP SLOWEST LOWEST CLEAR ABOVE SEAM RINGING"),
     ("normal equations", normal_equations, "GROUPS TOGETHER DELAYS STILL_PHASES BRAKED_PHASES"),
     ("recorded low-pass", low_pass, "QUIET CUTOFFS FINER KNOWN FILTER_LOWERS SECONDS PIECE TELLING_ROWS RELATIVE"),
-    ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW SURE FALLS FINE"),
+    ("delay", delay, "LEAST_STD BLUNT CLOSE OWN FEW SIDES SURE FALLS FINE"),
     ("inertia floor", floor, "FASTEST WEAK POSES"),
     ("shared motors", pair_choice, "LOWERED LOOKED_AT"),
     ("friction laws", friction_choice, "GAINS LOADS NEVER"),
@@ -162,8 +164,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ),
     ("stop windows", windows, "WIDTH TINY"),
     ("diagnosis", thresholds, " ".join(t.name for t in thresholds.SETTLED)),
-    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP WIDER ONE_DIRECTION GOLDEN"),
-    ("diagnosis sampling", sampling, "FOLLOW"),
+    ("diagnosis rows", prepare, "KERNEL LIGHT ROW_STEP WIDER ONE_DIRECTION"),
     ("diagnosis poses", rows, "DEPENDENT"),
     ("diagnosis noise", row_noise, "ORDER"),
     ("diagnosis elasticity", elasticity, "SWING_ROUNDS RATHER_NOT SUBSTEPS"),
@@ -185,6 +186,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
 HASHED_AS = {
     "independence.MOVING": "independence.UNDER_WAY",
     "brakes.OWN_LAG": "brakes.APART",
+    "stamps.FOLLOW": "diagnosis sampling.FOLLOW",
+    "stamps.GOLDEN": "diagnosis rows.GOLDEN",
     "diagnosis.RIPPLE_SEPARATION": "diagnosis.RIPPLES_APART",
     "diagnosis.NAMED_BESIDE": "diagnosis.TOLD_TOO",
     "diagnosis rows.ONE_DIRECTION": "diagnosis rows.ONE_WAY",

@@ -4,6 +4,12 @@ A delay ``d`` looks like ``d |du/dt|`` of torque error and, unknown, ends in fri
 several lags in the normal equations, so the error of the best model at each lag is known from the sums alone; its lowest
 point is the delay.  A drive that holds its command over a sample acts half a sample late: that part is expected and
 told apart.
+
+How far a lag may be off is read from the whole course of that error, in units of what chance makes it rise by.  Its lowest point
+alone says nothing: an arm that creeps has one too, wherever its noise happens to put it, and as no estimate leaves the search, they
+scatter by no more than a part of it.
+
+Source: Pawitan (2001), In All Likelihood, sec. 3.4 (profile likelihood and the interval it gives).
 """
 
 from __future__ import annotations
@@ -23,6 +29,7 @@ BLUNT = 0.005  # [s] joints with a larger standard error do not say where the mi
 CLOSE = 0.002  # [s] joints this near the middle, beside their errors, share the clock
 OWN = 0.01  # [s] of one joint against the others: below, unmodelled friction looks alike
 FEW = 3  # with fewer motions none can be left out
+SIDES = 2.0  # standard errors to either side at which the ends of a lag's interval are looked for
 SURE = 4.0  # standard errors from which on a lag is one, however blunt
 FALLS = 0.8  # of its sum of squares at no lag: an error that has fallen so far at the end of the search, and falls still, is of a lag beyond
 FINE = np.linspace(DELAYS[0], DELAYS[-1], 601)  # 0.1 ms
@@ -70,12 +77,11 @@ def lag_weights(d: float) -> Array:
 
 
 def joint_reduced(G: Array, lags: Array) -> Array:
-    """Normal matrix (.., c, c) with the lagged torques replaced by the one that ``lags`` (len(DELAYS),) weights."""
-    k = len(lags)
-    head = G.shape[-1] - k
+    """Normal matrix (.., c, c) with the lagged torques replaced by the one that ``lags`` (len(DELAYS),) weights, without reversals."""
+    head = G.shape[-1] - len(lags) - 1
     T = np.zeros((G.shape[-1], head + 1))
     T[:head, :head] = np.eye(head)
-    T[head:, head] = lags
+    T[-len(lags) :, head] = lags
     return np.asarray(np.swapaxes(T, 0, 1) @ G @ T)
 
 
@@ -99,12 +105,24 @@ def _fine_weights() -> Array:
     return np.array([lag_weights(float(d)) for d in FINE])
 
 
-def _from_curvature(profile: Array, rows: float) -> float:
-    """Standard error from how sharp the lowest point is, for too few motions to leave any out."""
+def _deviation(profile: Array, rows: float, left: Array) -> float:
+    """[s] standard error of the lag where the error is lowest; inf where it rises too little for chance within the search.
+
+    ``rows`` that the error is summed over; ``left``: the best lag without each motion.  By chance the error rises as that of the rows
+    does, and no less than motions disagree about the lag; motions are few, so that they may agree by chance.
+    """
+    if not np.isfinite(left).all():
+        return float("inf")
     k = int(np.clip(np.argmin(profile), 20, len(profile) - 21))
-    bend = (profile[k - 20] - 2 * profile[k] + profile[k + 20]) / (20 * (FINE[1] - FINE[0])) ** 2
-    variance = profile[k] / rows * TOGETHER
-    return float(np.sqrt(2 * variance / bend)) if bend > 0 else float("inf")
+    bend = float(profile[k - 20] - 2 * profile[k] + profile[k + 20]) / (20 * (FINE[1] - FINE[0])) ** 2
+    m, chance = len(left), float(profile.min()) / rows * TOGETHER
+    if m >= FEW:
+        chance = max(chance, 0.5 * bend * (m - 1) / m * float(np.sum((left - left.mean()) ** 2)))
+    within = np.flatnonzero(profile - profile.min() < SIDES**2 * max(chance, 1e-300))
+    if within[0] == 0 or within[-1] == len(FINE) - 1:
+        return float("inf")
+    best = _lowest(profile)
+    return float(max(FINE[within[-1] + 1] - best, best - FINE[within[0] - 1])) / SIDES
 
 
 def _lowest(profile: Array) -> float:
@@ -118,7 +136,7 @@ def _lowest(profile: Array) -> float:
 
 
 def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
-    """Best lag per joint with a standard error by leaving out motions, and the one common to all.
+    """Best lag per joint with a standard error, and the one common to all.
 
     Joints that disagree with the rest do not pull the common lag.
     """
@@ -134,17 +152,12 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
         mean[: 10 * n + 1] = prior.mean[data.layout.index(j)[: 10 * n + 1]]
         profile = _profile(G.sum(axis=0), ridge, mean)
         best[j], ends[j] = _lowest(profile), _end(profile)
-        groups = [g for g in range(len(G)) if data.rows_moving[g, j] > 0]
         if not np.isfinite(best[j]):
             continue
-        if len(groups) < FEW:
-            std[j] = _from_curvature(profile, float(data.rows_moving[:, j].sum()))
-            continue
-        total = G.sum(axis=0)
-        left = np.array([_lowest(_profile(total - G[g], ridge, mean)) for g in groups])
-        if np.isfinite(left).all():
-            m = len(groups)
-            std[j] = np.sqrt((m - 1) / m * np.sum((left - left.mean()) ** 2))
+        total, groups = G.sum(axis=0), np.flatnonzero(data.rows_moving[:, j] > 0)
+        several = groups if len(groups) >= FEW else groups[:0]
+        left = np.array([_lowest(_profile(total - G[g], ridge, mean)) for g in several])
+        std[j] = _deviation(profile, float(data.rows_moving[:, j].sum()), left)
     common, common_std = _common(best, std)
     return Delay(best, std, common, common_std, hold, 0.0 if np.isfinite(common_std) else _beyond(ends))
 

@@ -213,6 +213,11 @@ def _at_lag(data: NormalEquations, applied: Array) -> tuple[Array, Array]:
     return np.stack(moving, axis=1), np.array([joint_reduced(data.still[j], w) for j, w in enumerate(weights)])
 
 
+def trusted(lag: Delay) -> bool:
+    """Whether all joints' lag is known well enough to be taken out, or far larger than its error."""
+    return bool(lag.common_std <= DELAY_TRUSTED or lag.sure)
+
+
 def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[Delay, Array, list[str]]:
     """The delay found, that of each joint (n,) [s] that is taken out, and what is to be told of it."""
     lag, n = estimate_delay(data, prior), data.layout.n
@@ -221,7 +226,7 @@ def _delay(data: NormalEquations, prior: Prior, given: float | None) -> tuple[De
     if data.recordings == 0:
         return lag, np.zeros(n), []
     found = f"{lag.common * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms"
-    if not (lag.common_std <= DELAY_TRUSTED or lag.sure):
+    if not trusted(lag):
         return lag, np.zeros(n), [f"delay of torque against motion undetermined ({found}): none is assumed"]
     held = (
         ""

@@ -25,7 +25,7 @@ from stopset.effects.base import Number
 from stopset.effects.selection import base
 from stopset.effects.signals import Samples, arm_signals
 from stopset.errors import EffectError, RecordingError
-from stopset.offline.nominal.preprocess import Pose, PreparedMotion, Preprocessing, motions, pose_of
+from stopset.offline.nominal.preprocess import Pose, PreparedMotion, Preprocessing, derivative, motions, pose_of
 from stopset.recording.types import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import regressors
@@ -119,7 +119,9 @@ def layout_of(robot: Robot, effects: Sequence[str | Effect], *, compensated: boo
 
 @dataclass(slots=True)
 class NormalEquations:
-    """Sums over recordings: ``moving`` (GROUPS, n, c, c), ``still`` (n, c, c) with ``c = 10 n + 1 + width + len(DELAYS)``.
+    """Sums over recordings: ``moving`` (GROUPS, n, c, c), ``still`` (n, c, c) with ``c = 10 n + 1 + width + 1 + len(DELAYS)``.
+
+    Behind the friction, before the torque at its lags, stands the joint's reversals (`reversals`), which only the lag's estimate reads.
 
     ``rows_moving`` (GROUPS, n), ``rows_still`` (n,): samples; ``speed, load`` (n, 2): lowest and highest seen; ``period`` [s].
     """
@@ -184,7 +186,7 @@ def group_of(r: Recording) -> int:
 def empty(robot: Robot, layout: Layout, settings: Preprocessing, reference: Array, *, compensated: bool) -> NormalEquations:
     """Normal equations of no data."""
     n = robot.n
-    c = 10 * n + 1 + layout.width + len(DELAYS)
+    c = 10 * n + 1 + layout.width + 1 + len(DELAYS)
     nothing = np.tile([np.inf, -np.inf], (n, 1))
     return NormalEquations(
         layout, settings, np.array(reference, float),
@@ -262,10 +264,21 @@ def moving_rows(out: NormalEquations, robot: Robot, m: PreparedMotion) -> tuple[
     for j in range(n):
         for c, column in enumerate(friction[j]):
             X[j, :, 10 * n + 1 + c] = column
-    X[:, :, 10 * n + 1 + out.layout.width :] = m.delayed(m.tau, DELAYS).transpose(1, 0, 2)
+    X[:, :, -len(DELAYS) - 1] = reversals(m, out.settings.still).T
+    X[:, :, -len(DELAYS) :] = m.delayed(m.tau, DELAYS).transpose(1, 0, 2)
     if load is not None:
         out.load = _hull(out.load, np.column_stack([load.min(axis=0), load.max(axis=0)]))
     return X, m.moving[k]
+
+
+def reversals(m: PreparedMotion, still: float) -> Array:
+    """(kept rows, n) [1/s] rate of each joint's direction, through the torque's filter: what a change of when friction turns over adds.
+
+    Where a joint reverses it sticks for some milliseconds, its teeth and its grease give way before it moves, and a controller's
+    friction compensation leads it: dry friction turns over beside the instant at which the filtered speed is zero, on slow wrists by
+    10 ms.  Its step is the steepest torque of such a joint, so without this column a lag would be read from where friction steps.
+    """
+    return derivative(m.smooth(np.clip(m.dq / still, -1.0, 1.0)), m.period)[m.retained]
 
 
 def friction_columns(
@@ -330,5 +343,5 @@ def _pose_rows(out: NormalEquations, robot: Robot, pose: Pose) -> Array:
             for column in effect.columns(signals[j]):
                 X[j, place] = np.mean(np.broadcast_to(np.asarray(column, float), (2,)))
                 place += 1
-    X[:, 10 * n + 1 + out.layout.width :] = pose.tau.mean(axis=0)[:, None]
+    X[:, -len(DELAYS) :] = pose.tau.mean(axis=0)[:, None]
     return X

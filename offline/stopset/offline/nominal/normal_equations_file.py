@@ -16,7 +16,7 @@ from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.robot import Robot
 from stopset.unpacked import check_zip
 
-SCHEMA = 1
+SCHEMA = 2  # 1: without reversals
 ARRAYS = ("rows_moving", "rows_still", "speed", "load", "span", "reference")
 
 
@@ -67,7 +67,7 @@ def load_sums(path: str | Path | BytesIO, robot: Robot) -> NormalEquations:
             raise ModelFileError(f"{path}: its effects have other parameters than today's; identify from the recordings again")
         out = empty(robot, layout, Preprocessing(**head["settings"]), arrays["reference"], compensated=head["compensated"])
         c = out.moving.shape[-1]
-        moving, still = _square(arrays["moving"], c), _square(arrays["still"], c)
+        moving, still = (_square(arrays[x], c, head["schema"]) for x in ("moving", "still"))
         out.moving[arrays["used"]] = moving
         out.still[:] = still
         for name in ARRAYS:
@@ -85,7 +85,7 @@ def load_sums(path: str | Path | BytesIO, robot: Robot) -> NormalEquations:
 
 
 def _check(head: dict[str, object], robot: Robot, path: str | Path | BytesIO) -> None:
-    if head["schema"] != SCHEMA or head["delays"] != DELAYS.tolist():
+    if head["schema"] not in (1, SCHEMA) or head["delays"] != DELAYS.tolist():
         raise ModelFileError(f"{path} is of version {head['schema']}, expected {SCHEMA}; identify from the recordings again")
     if head["joints"] != list(robot.joints):
         raise ModelFileError(
@@ -93,9 +93,11 @@ def _check(head: dict[str, object], robot: Robot, path: str | Path | BytesIO) ->
         )
 
 
-def _square(upper: np.ndarray, c: int) -> np.ndarray:
-    """(..., c, c) symmetric matrices from their upper triangles."""
-    rows, columns = np.triu_indices(c)
+def _square(upper: np.ndarray, c: int, schema: int) -> np.ndarray:
+    """(..., c, c) symmetric matrices from their upper triangles; sums of before reversals were summed are those of motions without any."""
+    reversals = c - 1 - len(DELAYS)
+    stored = np.arange(c) if schema == SCHEMA else np.delete(np.arange(c), reversals)
+    rows, columns = (stored[k] for k in np.triu_indices(len(stored)))
     if upper.shape[-1] != len(rows):
         raise ValueError(f"{upper.shape[-1]} sums, {len(rows)} expected")
     out = np.zeros((*upper.shape[:-1], c, c))

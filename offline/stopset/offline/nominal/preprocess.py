@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.nominal.filters import low_pass, zero_phase
+from stopset.offline.nominal.stamps import even_clock, roughness
 from stopset.recording.types import Recording
 from stopset.types import Array
 
@@ -123,7 +124,10 @@ def derivative(x: Array, h: float) -> Array:
 
 
 def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | None]]:
-    """Evenly spaced ``t, q, tau, temp`` of each stretch without a hole; evenly sampled trials pass unchanged."""
+    """Evenly spaced ``t, q, tau, temp`` of each stretch without a hole; evenly sampled trials pass unchanged.
+
+    Stamps that scatter are read as the clock they scatter about, where the positions are smoother so.
+    """
     dt = np.diff(r.t)
     step = float(np.median(dt))
     holes = np.flatnonzero(dt > GAP * step)
@@ -137,14 +141,25 @@ def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | Non
             whole = len(edges) == 2
             yield even, r.q if whole else r.q[lo:hi], r.tau[lo:hi], temp
             continue
-        from scipy.interpolate import CubicSpline  # half a second, for what few recordings need
+        clock, _ = even_clock(t, step)
+        stamped = _read(r, slice(lo, hi), t, float(np.mean(np.diff(t))))
+        if clock is None:
+            yield stamped
+            continue
+        on_clock = _read(r, slice(lo, hi), clock, float(np.min(np.diff(clock))))
+        yield min(stamped, on_clock, key=lambda piece: roughness(piece[1]))
 
-        h = float(np.mean(np.diff(t)))
-        grid = t[0] + h * np.arange(hi - lo)
-        grid = grid[grid <= t[-1]]
-        q = CubicSpline(t, r.q[lo:hi])(grid)
-        tau = np.column_stack([np.interp(grid, t, x) for x in r.tau[lo:hi].T])
-        yield grid, q, tau, None if temp is None else np.column_stack([np.interp(grid, t, x) for x in temp.T])
+
+def _read(r: Recording, at: slice, t: Array, h: float) -> tuple[Array, Array, Array, Array | None]:
+    """``t, q, tau, temp`` of the samples ``at``, taken at the times ``t``, on a grid of step ``h`` [s]."""
+    from scipy.interpolate import CubicSpline  # half a second, for what few recordings need
+
+    grid = t[0] + h * np.arange(int((t[-1] - t[0]) / h + 1e-6) + 1)
+
+    def between(x: Array) -> Array:
+        return np.column_stack([np.interp(grid, t, c) for c in x[at].T])
+
+    return grid, CubicSpline(t, r.q[at])(grid), between(r.tau), None if r.temp is None else between(r.temp)
 
 
 class _Moved(NamedTuple):

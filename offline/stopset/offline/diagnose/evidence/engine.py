@@ -17,7 +17,7 @@ from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.evidence import JointGram
-from stopset.offline.diagnose.evidence.priors import Known, link_tolerance
+from stopset.offline.diagnose.evidence.priors import Beforehand, link_tolerance
 from stopset.offline.diagnose.rows.prepare import Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
 from stopset.offline.nominal.prior import Tolerance
@@ -50,6 +50,7 @@ class Engine:
     size: int  # columns in all; column 0 is y
     scales: tuple[float, ...]  # how far links and rotors may be off, for evidence to choose from
     rotor_scales: tuple[float, ...]
+    lag_std: Array  # (n,) [s] how far off the lag is that was taken out of each joint's torque before; 0: none was
     _level: dict[int, float] = field(default_factory=dict)
     _drowned: dict[int, bool] = field(default_factory=dict)
     _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
@@ -58,9 +59,10 @@ class Engine:
     # -- building ---------------------------------------------------------------------------------------------------
 
     @staticmethod
-    def build(robot: Robot, recordings: Recordings, tolerance: Tolerance | None = None, known: Known | None = None) -> Engine:
+    def build(robot: Robot, recordings: Recordings, before: Beforehand | None = None) -> Engine:
         """Prepare recordings and set up the base model: rigid body, rotors, Coulomb and viscous friction."""
-        data, tol = prepare(recordings), tolerance or Tolerance()
+        before = before or Beforehand()
+        data, tol, known = prepare(recordings), before.tolerance or Tolerance(), before.known
         compensated = recordings.meta.effort == "compensated_torque"
         source, n = ArmSignals(robot, data, compensated), robot.n
         motion = _motions(data)
@@ -106,6 +108,7 @@ class Engine:
             2 + 15 * n,
             scales,
             (1.0,) if known else limit.ROTOR_SCALES,
+            np.zeros(n) if before.lag_std is None else before.lag_std,
         )
 
     @property

@@ -34,6 +34,16 @@ class Known:
         return np.hypot(self.spread * self.friction, self.error)
 
 
+@dataclass(frozen=True, slots=True)
+class Beforehand:
+    """What is known before recordings are asked: the description's ``tolerance``, a model's ``known``, and ``lag_std`` (n,) [s], how far
+    off the lag is that was taken out of each joint's torque."""
+
+    tolerance: Tolerance | None = None
+    known: Known | None = None
+    lag_std: Array | None = None
+
+
 def link_tolerance(robot: Robot, tol: Tolerance) -> Array:
     """(n, 10) standard deviations of the links' standard parameters from the description's tolerance."""
     pi = robot.pi

@@ -65,10 +65,13 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
                 a[place[engine.drives]] = 0.0 if engine.modelled else -theta[place[k]]
                 own = float(np.sqrt(max(a @ inverse @ a, a @ clustered @ a)))
                 deviation[t.symbol] = float(np.hypot(own, off * theta[place[k]]))
-        if c.effect.enters == "input_delay":  # a lag is known no better than what its stamps mean
+        if (
+            c.effect.enters == "input_delay"
+        ):  # a lag is known no better than what its stamps mean, and what was taken out of it before
             symbol = c.effect.terms[0].symbol
             stamped = [place[int(k)] for k in engine.stamps]
-            deviation[symbol] = _lag_deviation(now, deviation[symbol], theta[stamped], sd[stamped])
+            by_stamps = _lag_deviation(now, deviation[symbol], theta[stamped], sd[stamped])
+            deviation[symbol] = float(np.hypot(by_stamps, engine.lag_std[c.joints[0]]))
     return out
 
 

@@ -16,6 +16,7 @@ from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.rows.sampling import Sampled, in_words, period_of, sampled
+from stopset.offline.nominal.stamps import step_of, white
 from stopset.recording import Recording, Recordings, SuiteKey
 from stopset.recording.types import TrialKey
 from stopset.types import Array, Index, Mask
@@ -25,7 +26,6 @@ LIGHT = 0.006  # [s] for the direction of motion: short, so that a reversal is p
 ONE_DIRECTION = 1.0 - 1e-6  # of a smoothed direction that never changes, but for rounding
 ROW_STEP = 0.02  # [s] one row per 20 ms: the kernel leaves little above 25 Hz
 WIDER = (1.5, 2.0, 3.0)  # times the usual kernel, for arms that creep: -3 dB at 3.7 Hz, beyond which they do hardly anything
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit interval evenly
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def prepare(recordings: Recordings) -> Prepared:
     dt = period_of(moving)
     kernel, light = Kernel.gaussian(dt, max(KERNEL, 1.2 * dt)), Kernel.gaussian(dt, max(LIGHT, dt))
     step = max(1, round(ROW_STEP / dt))
-    grids = [(r, sampled(r, dt, _white)) for r in moving]
+    grids = [(r, sampled(r, dt)) for r in moving]
     grids = _long_enough(grids, kernel, step)
     if not grids:
         raise RecordingError(f"every moving trial is shorter than {2 * kernel.half * dt:.2f} s; diagnosis needs longer ones")
@@ -303,23 +303,5 @@ def _standstill(recordings: Recordings) -> tuple[Array, Array, Array]:
 
 def _noise(x: Array, recorded: Array) -> Array:
     """(n,) white noise of a signal; no less than the steps it was recorded in leave open, also where it was read between samples."""
-    steps = np.array([_step(c) for c in recorded.T])
-    return np.asarray(np.maximum(_white(x), steps / np.sqrt(12.0)))
-
-
-def _white(x: Array) -> Array:
-    """White noise (n,) of a signal from its fourth differences, which a motion hardly reaches; robust to a few jumps.
-
-    A reading comes in steps, and so does the median of its differences: a step too low or too high would make the noise half or
-    twice as large.  So every difference is spread evenly over the step it stands for, and the spread is taken off again.
-    """
-    step = np.array([_step(c) for c in x.T])
-    d = np.diff(x, 4, axis=0)
-    even = np.mod(np.arange(len(d)) * GOLDEN, 1.0) - 0.5
-    square = np.median((d + np.outer(even, step)) ** 2, axis=0) / 0.4549  # the median of chi2_1
-    return np.sqrt(np.maximum((square - step**2 / 12) / 70.0, step**2 / 12))  # 70: sum of squared binomials
-
-
-def _step(x: Array) -> float:
-    """The step of a reading; next to nothing where it has none."""
-    return float(np.min(np.diff(np.unique(x)))) if np.ptp(x) > 0 else 0.0
+    steps = np.array([step_of(c) for c in recorded.T])
+    return np.asarray(np.maximum(white(x), steps / np.sqrt(12.0)))

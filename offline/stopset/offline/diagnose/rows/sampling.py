@@ -6,17 +6,16 @@ position a milliradian off.  Positions between samples come from a cubic; what l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.nominal.stamps import even_clock, roughness
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
-
-FOLLOW = 0.05  # share of a stamp's scatter that the clock follows
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,56 +35,25 @@ def period_of(trials: Sequence[Recording]) -> float:
     """Time between samples [s]: of the even clock that the stamps scatter about where there is one, else the usual one."""
     usual = float(np.median([np.median(np.diff(r.t)) for r in trials]))
     uneven = [r.t for r in trials if not _even(r.t, usual)]
-    clocks = [clock for t in uneven if (clock := _clock(t, usual)[0]) is not None]
+    clocks = [clock for t in uneven if (clock := even_clock(t, usual, limit.EVEN)[0]) is not None]
     if not clocks or len(uneven) < limit.UNEVEN * len(trials):
         return usual
     return float(np.median([np.min(np.diff(clock)) for clock in clocks]))
 
 
-def sampled(r: Recording, dt: float, noise: Callable[[Array], Array]) -> Sampled:
-    """A trial on an even grid of step ``dt`` [s]; ``noise`` of a signal's columns tells which reading of the stamps is smoother."""
+def sampled(r: Recording, dt: float) -> Sampled:
+    """A trial on an even grid of step ``dt`` [s], its stamps read as positions are smoother."""
     if _even(r.t, dt):
         return Sampled(r.t, r.q, r.tau, r.temp, np.zeros(len(r.t), np.bool_))
-    clock, lost = _clock(r.t, dt)
+    clock, lost = even_clock(r.t, dt, limit.EVEN)
     readings = [_read(r, r.t, dt, 0.0, lost)]
     if clock is not None:
         readings.append(_read(r, clock, dt, float(np.std(r.t - clock)), lost))
-    return min(readings, key=lambda x: float(np.sum(np.log(np.maximum(noise(x.q), 1e-12)))))
+    return min(readings, key=lambda x: roughness(x.q))
 
 
 def _even(t: Array, dt: float) -> bool:
     return bool(np.max(np.abs(np.diff(t) - dt)) < limit.EVEN * dt)
-
-
-def _clock(t: Array, dt: float) -> tuple[Array | None, int]:
-    """(N,) times on the even clock of about ``dt`` [s] that the stamps ``t`` scatter about, None where there is none; lost samples."""
-    place, now = np.zeros(len(t)), float(t[0])
-    for k in range(1, len(t)):
-        steps = round((t[k] - now) / dt)
-        if steps < 1 and k > 1 and place[k - 1] - place[k - 2] > 1:  # the stamp before came late: nothing was lost before it
-            place[k - 1] -= 1
-            now -= dt
-        steps = max(1, steps)
-        place[k] = place[k - 1] + steps
-        now += steps * dt
-        now += FOLLOW * (t[k] - now)
-    for _ in range(2):
-        period, begin = np.polyfit(place, t, 1)
-        place = _distinct(np.round((t - begin) / period))
-    even = abs(period - dt) < limit.EVEN * dt and bool(np.all(np.diff(place) > 0))
-    lost = int(place[-1] - place[0]) + 1 - len(place) if even else int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
-    return (begin + period * place if even else None), lost
-
-
-def _distinct(place: Array) -> Array:
-    """Places of samples of which a stamp half a period off shares its neighbour's: it belongs into the hole beside."""
-    out = place.copy()
-    for k in np.flatnonzero(np.diff(out) <= 0):
-        if k == 0 or out[k - 1] < out[k] - 1:
-            out[k] -= 1
-        elif k + 2 == len(out) or out[k + 2] > out[k + 1] + 1:
-            out[k + 1] += 1
-    return out
 
 
 def _read(r: Recording, t: Array, dt: float, scatter: float, lost: int) -> Sampled:
@@ -110,11 +78,10 @@ def in_step(recordings: Recordings, lag: float, std: float = 0.0) -> Recordings:
     What is left of the lag is within what stamps mean; between samples the torque would lose some of its noise.  So is a lag that may be
     less than half a sample: taken for a whole one it would put into the record what every joint's delay then has to take out.
     """
-    least = max(abs(lag) - limit.SURE * std, 0.0)
 
     def earlier(r: Recording) -> Recording:
         dt = period_of([r])
-        late = dt * round(lag / dt) if least > dt / 2 else 0.0
+        late = dt * whole_samples(lag, std, dt)
         inside = np.flatnonzero((r.t + late > r.t[0] - dt / 2) & (r.t + late < r.t[-1] + dt / 2))
         if late == 0.0 or r.phase == "static" or len(inside) < 2:
             return r
@@ -122,6 +89,11 @@ def in_step(recordings: Recordings, lag: float, std: float = 0.0) -> Recordings:
         return replace(r, tau=tau).cut(int(inside[0]), int(inside[-1]) + 1)
 
     return replace(recordings, trials=tuple(map(earlier, recordings)))
+
+
+def whole_samples(lag: float, std: float, dt: float) -> int:
+    """How many samples of ``dt`` [s] a ``lag`` [s] is that has the error ``std`` [s]; 0 where it may be less than half of one."""
+    return round(lag / dt) if abs(lag) - limit.SURE * std > dt / 2 else 0
 
 
 def in_words(read: Sequence[Sampled]) -> tuple[str, ...]:

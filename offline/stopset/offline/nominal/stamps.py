@@ -1,0 +1,70 @@
+"""What stamps that are not even mean: an even clock that they scatter about, or samples that were taken when they say.
+
+A logger stamps what it receives, so that stamps may scatter by a millisecond where the drives sampled on a clock.  A position read a
+millisecond off is a milliradian off at 1 rad/s, in the acceleration far more than an encoder's noise.  Which of the two it is the
+positions tell: they are smoother as they were taken.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stopset.types import Array
+
+FOLLOW = 0.05  # share of a stamp's scatter that the clock follows
+NEAR = 0.1  # of a period that the clock's own may be off the usual time between stamps
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit interval evenly
+
+
+def even_clock(t: Array, dt: float, near: float = NEAR) -> tuple[Array | None, int]:
+    """(N,) times on the even clock of about ``dt`` [s] that the stamps ``t`` scatter about, None where there is none; lost samples."""
+    place, now = np.zeros(len(t)), float(t[0])
+    for k in range(1, len(t)):
+        steps = round((t[k] - now) / dt)
+        if steps < 1 and k > 1 and place[k - 1] - place[k - 2] > 1:  # the stamp before came late: nothing was lost before it
+            place[k - 1] -= 1
+            now -= dt
+        steps = max(1, steps)
+        place[k] = place[k - 1] + steps
+        now += steps * dt
+        now += FOLLOW * (t[k] - now)
+    for _ in range(2):
+        period, begin = np.polyfit(place, t, 1)
+        place = _distinct(np.round((t - begin) / period))
+    even = abs(period - dt) < near * dt and bool(np.all(np.diff(place) > 0))
+    lost = int(place[-1] - place[0]) + 1 - len(place) if even else int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
+    return (begin + period * place if even else None), lost
+
+
+def _distinct(place: Array) -> Array:
+    """Places of samples of which a stamp half a period off shares its neighbour's: it belongs into the hole beside."""
+    out = place.copy()
+    for k in np.flatnonzero(np.diff(out) <= 0):
+        if k == 0 or out[k - 1] < out[k] - 1:
+            out[k] -= 1
+        elif k + 2 == len(out) or out[k + 2] > out[k + 1] + 1:
+            out[k + 1] += 1
+    return out
+
+
+def roughness(q: Array) -> float:
+    """How noisy positions are in the mean over joints, as a logarithm: of two readings of the stamps the smoother one is the true one."""
+    return float(np.sum(np.log(np.maximum(white(q), 1e-12))))
+
+
+def white(x: Array) -> Array:
+    """White noise (n,) of a signal from its fourth differences, which a motion hardly reaches; robust to a few jumps.
+
+    A reading comes in steps, and so does the median of its differences: a step too low or too high would make the noise half or
+    twice as large.  So every difference is spread evenly over the step it stands for, and the spread is taken off again.
+    """
+    step = np.array([step_of(c) for c in x.T])
+    d = np.diff(x, 4, axis=0)
+    even = np.mod(np.arange(len(d)) * GOLDEN, 1.0) - 0.5
+    square = np.median((d + np.outer(even, step)) ** 2, axis=0) / 0.4549  # the median of chi2_1
+    return np.sqrt(np.maximum((square - step**2 / 12) / 70.0, step**2 / 12))  # 70: sum of squared binomials
+
+
+def step_of(x: Array) -> float:
+    """The step of a reading; next to nothing where it has none."""
+    return float(np.min(np.diff(np.unique(x)))) if np.ptp(x) > 0 else 0.0
