@@ -956,6 +956,7 @@ typedef struct {
     const double *knots;             /* (pieces + 1,) [1] s where pieces meet, growing from 0 */
     const double *coefficient;       /* (pieces, n, 4) [rad] of 1, x, x^2, x^3 with x = s - knots[k] */
     const double *noise;             /* (2n,) [rad], [rad/s] by which a reading of the state may be off */
+    const double *share;             /* (n,) [1] by which a joint may turn more or less than it reads, as effects misread its angle */
     const double *q_lo, *q_hi, *fastest; /* (n,) [rad], [rad/s] limits of the arm */
     const double *seen_lo, *seen_hi; /* (2n,) [rad], [rad/s] where every state on the way has to lie */
 } StopsetPath;

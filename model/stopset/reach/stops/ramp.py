@@ -212,6 +212,11 @@ def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array | None:
     return ramp.control.hi + (ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo) + ramp.after
 
 
+def of_the_arm(ramp: Ramp, shares: Array) -> Ramp:
+    """The ramp with tracking errors of the arm itself, whose joints turn by ``shares`` (n,) more or less than they read."""
+    return replace(ramp, q_error=ramp.q_error * (1.0 + shares), dq_error=ramp.dq_error * (1.0 + shares))
+
+
 def drive_limit(model: Model) -> Array:
     """(n,) [N m] what a drive surely can give. One of which an effect says that it gives less than it tells, tells its limit no better."""
     out = np.array(model.robot.torque_limit, float)
