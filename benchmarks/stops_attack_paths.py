@@ -3,12 +3,12 @@
     python benchmarks/stops_attack_paths.py [--cases 40] [--rounds 6] [--count 24] [--seed 1] [--effect NAME ...] [--kept FILE [--seconds 150]]
 
 As `stops_attack.py` does of poses. A case is drawn: an arm with one to three effects, a payload's range, a path (through a few rows, a joint
-lowered past where gravity asks most of it, or as recorded: many rows, unevenly apart, rounded), a state of it, a ramp that begins between two times
-of a motion that changes its speed; and drives hardly strong enough for a bound, or stronger. Each sampled arm is led where it reads the path to
-be, its readings wrong by what effects and noise allow; from when its ramp begins it brakes as hard as its own drives let it, or, where it is told less of
-itself, as hard as another arm's would too. That is integrated in time here, and shares nothing with the grid of `path.c`. Asked besides the numbers:
-that drives can follow at all, and slow down. Prints what is contradicted (exit code 1). With ``--kept`` cases are done in pieces of
-``--seconds``, each of numbers of its own; exit code 3: not done yet.
+lowered past where gravity asks most of it, or as recorded: many rows, unevenly apart, rounded), a state of it, a ramp that begins between two
+times of a motion that changes its speed; and drives hardly strong enough for a bound, or stronger. Each sampled arm is led where it reads the
+path to be, its readings wrong by what effects and noise allow; from when its ramp begins it brakes as hard as its own drives let it, or, where
+it is told less of itself, as hard as another arm's would too. That is integrated in time here, and shares nothing with the grid of `path.c`.
+Asked besides the numbers: that drives can follow at all, and slow down. Prints what is contradicted (exit code 1). With ``--kept`` cases are
+done in pieces of ``--seconds``, each of numbers of its own; exit code 3: not done yet.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from stopset.types import Array
 
 LONGEST = 4.0  # [s] simulated from the request on
 HALVINGS = 9  # of the search for the weakest drives with a bound
+SEARCHED = 7  # halvings to where friction is as large as the gear's load makes it
 BESIDE = 1e-5  # [rad] from where a reading's slope is told
 
 
@@ -123,6 +124,22 @@ def needed(model: Model, batch: Batch, laws: Laws, place: tuple[Array, Array, Ar
     return Drives(per + model.rotor * first, rest, drive_limit(model))
 
 
+def hardest(asks: Callable[[Array], Drives], before: Array, by_load: bool) -> tuple[Drives, Array, Array]:
+    """What arms ask of their drives, and the least and the largest (N,) deceleration that these can give; where friction grows with what a gear
+    bears, ``by_load``, both where that friction is."""
+    drives = asks(before)
+    lo, hi = drives.decelerations()
+    if not by_load:
+        return drives, lo, hi
+    mild, hard = np.zeros_like(before), asks(0.0 * before).decelerations()[0]
+    for _ in range(SEARCHED):
+        middle = 0.5 * (mild + hard)
+        able = asks(middle).over(middle) <= 0.0
+        mild, hard = np.where(able, middle, mild), np.where(able, hard, middle)
+    drives = asks(mild)
+    return drives, mild, drives.decelerations()[1]
+
+
 def braked(case: PathCase, batch: Batch, laws: Laws, led: Led, own: Genes, seconds: float) -> tuple[Array, Array, Array, Array]:
     """Times (K,), places and rates (K, N) every `PIECE` until all rest; and (N,) [N m] what drives lacked. The batch's second half is what
     arms of the first are told that they are; who is told nothing brakes as hard as it can."""
@@ -138,6 +155,7 @@ def braked(case: PathCase, batch: Batch, laws: Laws, led: Led, own: Genes, secon
     pace, told, lack = own.choice([*ramp.pace, 0.0], N), own.random(N) < 0.7, np.full(N, -np.inf)
     s, w, u = np.full(N, case.begin), np.full(N, case.rate), np.zeros(N)
     kept = [(s, w)]
+    by_load = any("load" in effect.needs for effect, *_ in laws.rows)
     for k in range(int(min(seconds, LONGEST) / PIECE)):
         t = (k + 1) * PIECE
         run = np.minimum(PIECE, np.maximum(t - late, 0.0))  # of this moment, how much the ramp has
@@ -145,8 +163,12 @@ def braked(case: PathCase, batch: Batch, laws: Laws, led: Led, own: Genes, secon
         s, w = s + free * np.maximum(w + 0.5 * free * case.rate * pace, 0.0), np.maximum(w + free * case.rate * pace, 0.0)
         if np.any(run > 0.0):
             twice = [np.tile(x, 2) for x in (s, w, u)]
-            drives = needed(case.bounds.model, batch, laws, led.at(twice[0]), twice[1], twice[2], min(int(4 * t / seconds), 3))
-            lo, hi = drives.decelerations()
+            where = led.at(twice[0])
+
+            def asks(now: Array, k: int = min(int(4 * t / seconds), 3)) -> Drives:
+                return needed(case.bounds.model, batch, laws, where, twice[1], now, k)  # noqa: B023
+
+            drives, lo, hi = hardest(asks, twice[2], by_load)
             mine, other = lo[:N], np.where(told, lo[N:], -np.inf)
             u = np.maximum(mine, other)
             on = (run > 0.0) & (w > 0.0)

@@ -918,6 +918,7 @@ typedef struct {
     int32_t timed;                                                 /* value [s] from the speed to rest, else [rad/s^2] */
     const double *value_lo, *value_hi, *control_lo, *control_hi;   /* .. and [s] from the request until it begins */
     const double *q_error, *dq_error, *band, *limit;               /* tracking [rad], [rad/s]; standstill [rad/s]; drives [N m] */
+    const double *gear;                                            /* [N m] of links and rotors, up to which friction by a gear's load is known */
     double off_after;                                              /* [s] until power is taken whatever happens; negative: never */
     int32_t monitored;                                             /* power is taken when the ramp is left */
     double reaction, tolerance, share;                             /* [s]; shares of the speed at the request */

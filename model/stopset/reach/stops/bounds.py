@@ -16,7 +16,7 @@ from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import TUBES, failed_stops
 from stopset.reach.stops.friction import ROUNDING
-from stopset.reach.stops.ramp import Ramp, drive_limit, infeasible, of_the_arm, ramp_of, ramp_time, ramp_tube
+from stopset.reach.stops.ramp import Ramp, drive_limit, gear_limit, infeasible, of_the_arm, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.start import NONE, Extrapolation, Start
 from stopset.reach.stops.tube import OK, Tube
@@ -226,8 +226,9 @@ class StopBounds:
         if early is not None:
             return self._refused(category, early, q)
         extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
-        have = drive_limit(self.model) - extra
-        refusal = infeasible(self.model, ramp_torque(self.setting, plant, self.ramp, start, tube, have) + extra)
+        most = gear_limit(self.model, self.setting.torques.gear)
+        have = np.minimum(drive_limit(self.model) - extra, most)
+        refusal = infeasible(self.model, ramp_torque(self.setting, plant, self.ramp, start, tube, have), extra, most)
         if refusal:
             return self._refused(category, refusal, q)
         if category == "2":

@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.friction import torques_struct
-from stopset.reach.stops.ramp import Ramp, drive_limit, of_the_arm
+from stopset.reach.stops.ramp import Ramp, drive_limit, gear_limit, of_the_arm
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import Plant, Tube, plant_struct
@@ -87,6 +87,7 @@ def ramp_fields(setting: Setting, ramp: Ramp) -> tuple[dict[str, Array], dict[st
     arrays = {
         "value_lo": ramp.value.lo, "value_hi": ramp.value.hi, "control_lo": ramp.control.lo, "control_hi": ramp.control.hi,
         "q_error": ramp.q_error, "dq_error": ramp.dq_error, "band": ramp.band, "limit": drive_limit(setting.model),
+        "gear": gear_limit(setting.model, setting.torques.gear),
         "residual_lo": setting.residual.lo, "residual_hi": setting.residual.hi,
     }  # fmt: skip
     numbers: dict[str, Any] = {

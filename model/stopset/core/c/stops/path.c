@@ -121,7 +121,7 @@ static int room_of(const Task *t, double begin, double end, double rate, double 
     StopsetPlant plant;
     const int bounded = there(t, begin, end, rate, friction, top, &plant); /* friction without a bound leaves nothing */
     for (int i = 0; i < t->n; i++) {
-        room[i] = bounded * t->ramp->limit[i] * (1.0 - RESERVE) - rubbing(&plant, i, top[i]);
+        room[i] = least(bounded * t->ramp->limit[i] * (1.0 - RESERVE) - rubbing(&plant, i, top[i]), t->ramp->gear[i] * (1.0 - RESERVE));
         if (!(room[i] > 0.0)) return i;
     }
     return -1;
@@ -327,6 +327,7 @@ static int look(const Task *t, double s0, double asked, double begin, const Prof
                 for (int i = 0; i < n; i++) {
                     const double used = size_of(tau[i] + plant.rotor[i] * a[i]) + plant.rotor_half[i] * size_of(a[i]);
                     p->room = least(p->room, bounded * t->ramp->limit[i] - used - rubbing(&plant, i, size_of(v[i])));
+                    p->room = least(p->room, t->ramp->gear[i] - most(used, size_of(tau[i]))); /* the gear bears the link's alone */
                 }
             }
         }
