@@ -243,9 +243,9 @@ def _bound(model: Model, setting: Setting, ramp: Ramp, passed: Passed, out: list
     ends = np.array([_ends(model, setting, q) for q in passed.q])  # (P, n + 1, 3), the payload last
     reach = float(np.linalg.norm(robot.chain.p[1:], axis=1).sum() + max(map(np.linalg.norm, (setting.payload_com, robot.tip))))
     step, share, noise = np.diff(passed.s), setting.shares, setting.noise.radius[:n]
-    way = np.abs(passed.q - passed.q[0]).max(axis=0) + 0.5 * step.max() * passed.first
+    travel = np.abs(passed.q - passed.q[0]).max(axis=0) + 0.5 * step.max() * passed.first
     slack = reach * float(
-        np.sum(0.5 * step.max() * passed.first + ramp.q_error + way * share) + noise.sum() * min(float(way.sum()), 2.0)
+        np.sum(0.5 * step.max() * passed.first + ramp.q_error + travel * share) + noise.sum() * min(float(travel.sum()), 2.0)
     )
     moved = ends - ends[0]
     far = np.linalg.norm(moved, axis=2).max(axis=0) + slack

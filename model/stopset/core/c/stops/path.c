@@ -348,7 +348,7 @@ static void bound(const Task *t, double s0, const StopsetPassed *p, const Stopse
     const StopsetArm *arm = &t->stops->plant.arm;
     double lo[SN], hi[SN], first[SN], second[SN], J[3 * SN], here[3], start[3], spacing = 0.0, far = 0.0, fast = 0.0;
     double reach = sqrt(t->stops->tool[0] * t->stops->tool[0] + t->stops->tool[1] * t->stops->tool[1] + t->stops->tool[2] * t->stops->tool[2]);
-    double off = 0.0, aside = 0.0, beside = 0.0, way = 0.0, sway = 0.0, turned = 0.0, bent = 0.0, misread = 0.0;
+    double off = 0.0, aside = 0.0, beside = 0.0, travel = 0.0, sway = 0.0, turned = 0.0, bent = 0.0, misread = 0.0;
     stretch(t, s0, least(s0 + p->length, t->path->knots[t->path->pieces]), lo, hi, first, second);
     for (int i = 1; i < n; i++) reach += sqrt(arm->p[3 * i] * arm->p[3 * i] + arm->p[3 * i + 1] * arm->p[3 * i + 1] + arm->p[3 * i + 2] * arm->p[3 * i + 2]);
     for (int64_t k = 1; k < p->poses; k++) spacing = most(spacing, p->s[k] - p->s[k - 1]);
@@ -360,7 +360,7 @@ static void bound(const Task *t, double s0, const StopsetPassed *p, const Stopse
         off += 0.5 * spacing * first[i] + more + most(ahead, behind) * share;
         aside += t->path->noise[i];
         beside += t->off[i];
-        way += most(ahead, behind);
+        travel += most(ahead, behind);
         sway += t->ramp->dq_error[i];
         turned += first[i] * (1.0 + share);
         misread += first[i] * share;
@@ -380,7 +380,7 @@ static void bound(const Task *t, double s0, const StopsetPassed *p, const Stopse
         far = most(far, move);
         fast = most(fast, pace);
     }
-    out->tool[0] = sqrt(far) + reach * (off + aside * least(way, 2.0));
+    out->tool[0] = sqrt(far) + reach * (off + aside * least(travel, 2.0));
     out->tool[1] = p->rate * (sqrt(fast) + 0.5 * spacing * reach * (turned * turned + bent) + reach * (beside * turned + misread)) + reach * sway;
 }
 
