@@ -252,3 +252,33 @@ def test_a_ramp_of_a_motion_that_changes_its_speed_is_at_no_time_slower_or_faste
         speed = w * (1.0 - s) * share
         worst = max(worst, float(np.max(speed - tube.e_hi[step])), float(np.max(tube.e_lo[step] - speed)))
     assert worst <= 1e-12
+
+
+@pytest.mark.parametrize("effect", ["load_coulomb", "quadratic_load"])
+def test_friction_by_the_gear_s_load_is_not_promised_less_than_a_hard_ramp_makes_it(effect: str) -> None:
+    """Where the shoulder brakes hard the elbow, which moves the other way, is loaded by more than its gravity and brake: so is its friction."""
+    arm, n, elbow = ARMS["PRBT-like"], 6, 2
+    values = {"load_coulomb": {"k_lift": 0.4, "k_lower": 0.4}, "quadratic_load": {"k_2": 0.004}}[effect]
+    rubs = Fitted(effect, arm.joints[elbow], values, dict.fromkeys(values, 0.0))
+    assert arm.brakes is not None
+    brakes = replace(arm.brakes, torque=Box.of(0.3 * arm.brakes.torque.lo, 0.3 * arm.brakes.torque.hi))
+    q, dq = np.array([0.3, 1.5, 0.3, 0.1, 0.2, 0.0]), np.array([0.0, 1.2, 0.0, 0.0, 0.0, 0.0])
+    chain, pi = arm.robot.chain, arm.robot.pi
+    dq[elbow] = 0.05 * np.sign(torques(chain, pi, q[None], dq[None], -dq[None])[0, elbow])
+    told = []
+    for lasts, limit in itertools.product((0.3, 0.014, 0.012, 0.01), np.linspace(20.0, 400.0, 60)):
+        ramp, robot = (
+            Ramp.stated(n, time=lasts, control=0.0),
+            replace(arm.robot, torque_limit=np.where(np.arange(n) == elbow, limit, 1e5)),
+        )
+        model = replace(arm, effects=(*arm.effects, rubs), brakes=brakes, robot=robot)
+        bounds = StopBounds.of(model, (0.0, 0.0), ramp=ramp)
+        link = float(torques(chain, pi, q[None], dq[None], -dq[None] / lasts)[0, elbow])
+        rub = 1.25 * (0.4 * abs(link) if effect == "load_coulomb" else 0.004 * link**2)
+        needs = abs(link - arm.rotor[elbow] * dq[elbow] / lasts + np.sign(dq[elbow]) * rub)
+        certified = bounds.bound(q, dq, "1").certified
+        assert bounds.setting is not None
+        assert certified == (CompiledStops.of(bounds.setting, ramp).bound(q, dq, "1") is not None)
+        assert not certified or limit >= needs
+        told.append((lasts, certified, abs(link) > bounds.setting.torques.gear[elbow]))
+    assert any(certified for lasts, certified, _ in told if lasts == 0.3) and any(hard for *_, hard in told)

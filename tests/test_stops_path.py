@@ -545,3 +545,51 @@ def test_where_an_effect_leaves_an_early_ramp_nothing_there_is_no_time() -> None
     with pytest.raises(NotCovered, match="cannot stop within"):
         path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=0.6)), path, 0.05, 0.6)
     assert path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=0.0)), path, 0.41, 0.6).bound.certified
+
+
+TURNED = np.zeros((2, 6))
+TURNED[:, 0], TURNED[:, 1] = (-1.5, 1.5), 0.5  # the whole arm about its upright axis, leaning out
+
+
+def led_off(joint: int, off: float, late: float) -> StopBounds:
+    """One joint's reading off by up to ``off`` [rad], all others' exact; a ramp that begins after ``late`` [s]."""
+    sets = replace(MODEL.powered, V=Box.symmetric(off * np.eye(12)[joint]))
+    return replace(arm_of(model=replace(MODEL, sets={"powered": sets})), ramp=Ramp.stated(6, time=0.3, control=late))
+
+
+def tool_at(q: np.ndarray) -> np.ndarray:
+    from stopset.robot.rigid import link_frames
+
+    R, o = link_frames(MODEL.robot.chain, q)
+    return np.asarray(o[:, -1] + R[:, -1] @ MODEL.robot.tip)
+
+
+@pytest.mark.parametrize("late", [0.02, 1.6])
+def test_an_arm_that_leans_out_farther_than_it_reads_goes_no_farther_nor_faster_than_told(late: float) -> None:
+    """Turned by more than a rad it is moved by up to twice as much more as it leans out more."""
+    bounds, path = led_off(1, 0.03, late), Path.through(TURNED)
+    b = path_stop(bounds, path, 0.0, 0.5).bound
+    s = np.linspace(0.0, 0.5 * late, 200)
+    true = path.p(s, 0) + 0.03 * np.eye(6)[1]
+    p = tool_at(true)
+    turning = np.cross(MODEL.robot.chain.axis[0], p[0]) * 0.5 * path.p(s[:1], 1)[0, 0]
+    assert b.certified and np.linalg.norm(p - p[0], axis=1).max() <= b.tcp and np.linalg.norm(turning) <= b.tcp_speed
+    assert np.linalg.norm(p - p[0], axis=1).max() <= b.links[-1] and np.linalg.norm(turning) <= b.link_speed[-1]
+    assert np.all(p - p[0] <= b.tcp_box[:, 1]) and np.all(p - p[0] >= b.tcp_box[:, 0])
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_joint_that_turns_more_than_it_reads_is_told_so(joint: int) -> None:
+    """A code disc off its centre: the angle that is read is wrong once per turn, and so is how far and how fast a joint has turned."""
+    eccentric = Fitted("encoder_eccentricity", MODEL.joints[joint], {"a": 0.015, "b": -0.01}, {"a": 1e-4, "b": 1e-4})
+    bounds = arm_of(model=replace(MODEL, effects=(*MODEL.effects, eccentric)))
+    rows = np.zeros((2, 6))
+    rows[:, joint] = -0.6, 0.2
+    for points in (rows, -rows):
+        path, late = Path.through(points), 0.2
+        b = path_stop(replace(bounds, ramp=Ramp.stated(6, time=0.3, control=late)), path, 0.0, 1.5).bound
+        read = path.p(np.linspace(0.0, 1.5 * late, 100), 0)[:, joint]
+        true, share = read + 0.015 * np.sin(read) - 0.01 * np.cos(read), 1.0 + 0.015 * np.cos(read) + 0.01 * np.sin(read)
+        moved = true - true[0]
+        assert b.certified and np.abs(1.5 * share * (points[1] - points[0])[joint]).max() <= b.speed[joint]
+        assert moved.max() <= b.forward[joint] and -moved.min() <= b.back[joint]

@@ -918,6 +918,7 @@ typedef struct {
     int32_t timed;                                                 /* value [s] from the speed to rest, else [rad/s^2] */
     const double *value_lo, *value_hi, *control_lo, *control_hi;   /* .. and [s] from the request until it begins */
     const double *q_error, *dq_error, *band, *limit;               /* tracking [rad], [rad/s]; standstill [rad/s]; drives [N m] */
+    const double *gear;                                            /* [N m] of links and rotors, up to which friction by a gear's load is known */
     double off_after;                                              /* [s] until power is taken whatever happens; negative: never */
     int32_t monitored;                                             /* power is taken when the ramp is left */
     double reaction, tolerance, share;                             /* [s]; shares of the speed at the request */
@@ -956,6 +957,7 @@ typedef struct {
     const double *knots;             /* (pieces + 1,) [1] s where pieces meet, growing from 0 */
     const double *coefficient;       /* (pieces, n, 4) [rad] of 1, x, x^2, x^3 with x = s - knots[k] */
     const double *noise;             /* (2n,) [rad], [rad/s] by which a reading of the state may be off */
+    const double *share;             /* (n,) [1] by which a joint may turn more or less than it reads, as effects misread its angle */
     const double *q_lo, *q_hi, *fastest; /* (n,) [rad], [rad/s] limits of the arm */
     const double *seen_lo, *seen_hi; /* (2n,) [rad], [rad/s] where every state on the way has to lie */
 } StopsetPath;

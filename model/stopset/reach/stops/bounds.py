@@ -16,7 +16,7 @@ from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
 from stopset.reach.stops.failed import TUBES, failed_stops
 from stopset.reach.stops.friction import ROUNDING
-from stopset.reach.stops.ramp import Ramp, drive_limit, infeasible, ramp_of, ramp_time, ramp_tube
+from stopset.reach.stops.ramp import Ramp, drive_limit, gear_limit, infeasible, of_the_arm, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.start import NONE, Extrapolation, Start
 from stopset.reach.stops.tube import OK, Tube
@@ -214,7 +214,8 @@ class StopBounds:
     def _working_ramp(self, start: Start, category: Category) -> StopBound:
         assert self.setting is not None and self.ramp is not None
         q, q_radius, at, speeds = start.q, start.q_radius, start.angles, start.speeds
-        ramp, tube = self.ramp, ramp_tube(self.ramp, speeds.lo, speeds.hi)
+        ramp = of_the_arm(self.ramp, self.setting.shares)
+        tube = ramp_tube(ramp, speeds.lo, speeds.hi)
         swept = Box(at.lo + tube.d_lo.min(axis=0), at.hi + tube.d_hi.max(axis=0))
         plant = self.setting.near(self.setting.plant, swept, fastest(tube))
         assumptions = (*self.setting.assumptions, *ramp_assumptions(ramp, category))
@@ -225,8 +226,9 @@ class StopBounds:
         if early is not None:
             return self._refused(category, early, q)
         extra = plant.coulomb_hi + plant.viscous_hi * fastest(tube) + np.maximum(np.abs(plant.u_lo), np.abs(plant.u_hi))
-        have = drive_limit(self.model) - extra
-        refusal = infeasible(self.model, ramp_torque(self.setting, plant, ramp, start, tube, have) + extra)
+        most = gear_limit(self.model, self.setting.torques.gear)
+        have = np.minimum(drive_limit(self.model) - extra, most)
+        refusal = infeasible(self.model, ramp_torque(self.setting, plant, self.ramp, start, tube, have), extra, most)
         if refusal:
             return self._refused(category, refusal, q)
         if category == "2":
@@ -266,7 +268,7 @@ class StopBounds:
 
     def _failed_ramp(self, start: Start) -> StopBound:
         assert self.setting is not None and self.ramp is not None
-        ramp, setting, q = self.ramp, self.setting, start.q
+        ramp, setting, q = of_the_arm(self.ramp, self.setting.shares), self.setting, start.q
         found = failed_stops(setting, ramp, start, self.tubes, fast=self.fast)
         if found is None:
             return self._refused("1 guaranteed", NO_POWER_OFF, q)

@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.core.library import check, ffi, given, lib, view
 from stopset.reach.stops.friction import torques_struct
-from stopset.reach.stops.ramp import Ramp, drive_limit
+from stopset.reach.stops.ramp import Ramp, drive_limit, gear_limit, of_the_arm
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import Plant, Tube, plant_struct
@@ -83,9 +83,11 @@ class CompiledStops:
 
 def ramp_fields(setting: Setting, ramp: Ramp) -> tuple[dict[str, Array], dict[str, Any]]:
     """A ramp by the names of the C struct: arrays (n,) and numbers."""
+    ramp = of_the_arm(ramp, setting.shares)
     arrays = {
         "value_lo": ramp.value.lo, "value_hi": ramp.value.hi, "control_lo": ramp.control.lo, "control_hi": ramp.control.hi,
         "q_error": ramp.q_error, "dq_error": ramp.dq_error, "band": ramp.band, "limit": drive_limit(setting.model),
+        "gear": gear_limit(setting.model, setting.torques.gear),
         "residual_lo": setting.residual.lo, "residual_hi": setting.residual.hi,
     }  # fmt: skip
     numbers: dict[str, Any] = {

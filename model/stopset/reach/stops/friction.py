@@ -244,6 +244,11 @@ def misreadings(model: Model, fastest: Array) -> Box:
     return Box(lo, hi)
 
 
+def misread_shares(model: Model) -> Array:
+    """(n,) [1] by how much more or less than it reads a joint may turn."""
+    return np.asarray(misreadings(model, np.ones(model.n)).hi[model.n :])
+
+
 def described(model: Model) -> tuple[str, ...]:
     """What stop bounds make of the effects, in sentences, where it is not friction."""
     of = {

@@ -17,7 +17,7 @@ from stopset.core.library import check, ffi, given, lib, view
 from stopset.errors import NotCovered
 from stopset.reach.stops.bounds import StopBounds
 from stopset.reach.stops.compiled import CompiledStops
-from stopset.reach.stops.ramp import Ramp
+from stopset.reach.stops.ramp import Ramp, of_the_arm
 from stopset.reach.stops.setting import Setting, beyond_domain
 from stopset.reach.stops.types import StopBound
 from stopset.reach.stops.words import NO_REST, UNSEEN, early_cut, ramp_assumptions
@@ -168,6 +168,7 @@ def path_stop(bounds: StopBounds, path: Path, s0: float, ds: float) -> PathStop:
         raise NotCovered(_refusal(code, bounds.model, path, passed, ds))
     poses, most = passed.poses, work.size // (1 + 2 * n)
     s, q, dq = work[:poses], work[most:][: poses * n].reshape(-1, n), work[most * (1 + n) :][: poses * n].reshape(-1, n)
+    ramp = of_the_arm(ramp, setting.shares)
     taken = Passed(s, q, dq, passed.rate, *path.steepest(s0, s0 + passed.length))
     return PathStop(passed.length, passed.time, q, passed.room, _judged(bounds, setting, ramp, taken, out))
 
@@ -181,6 +182,7 @@ def path_fields(setting: Setting, path: Path) -> dict[str, Array]:
     true[:, :, 0] += off
     return {
         "knots": path.knots, "coefficient": true, "noise": np.r_[noise.radius[:n], np.maximum(np.abs(noise.lo), np.abs(noise.hi))[n:]],
+        "share": setting.shares,
         "q_lo": robot.q_limit[:, 0] + off, "q_hi": robot.q_limit[:, 1] + off, "fastest": robot.dq_limit,
         "seen_lo": np.concatenate([d.q.lo + off, d.dq.lo]) - EDGE, "seen_hi": np.concatenate([d.q.hi + off, d.dq.hi]) + EDGE,
     }  # fmt: skip
@@ -234,20 +236,25 @@ def _bound(model: Model, setting: Setting, ramp: Ramp, passed: Passed, out: list
     """The core's numbers ``out``, and the links' displacements and speeds over the poses ``passed``.
 
     What lies between two poses is within half their spacing of one of them; a chord is shorter than its arc, by no more than the
-    bend of a point's path allows.
+    bend of a point's path allows. The arm is beside these poses: see the core's `bound`.
     """
     time, forward, back, speed, tool = out
     robot, n = model.robot, model.n
     ends = np.array([_ends(model, setting, q) for q in passed.q])  # (P, n + 1, 3), the payload last
     reach = float(np.linalg.norm(robot.chain.p[1:], axis=1).sum() + max(map(np.linalg.norm, (setting.payload_com, robot.tip))))
-    step = np.diff(passed.s)
-    slack = reach * float(np.sum(0.5 * step.max() * passed.first + ramp.q_error + setting.noise.radius[:n]))
+    step, share, noise = np.diff(passed.s), setting.shares, setting.noise.radius[:n]
+    travel = np.abs(passed.q - passed.q[0]).max(axis=0) + 0.5 * step.max() * passed.first
+    slack = reach * float(
+        np.sum(0.5 * step.max() * passed.first + ramp.q_error + travel * share) + noise.sum() * min(float(travel.sum()), 2.0)
+    )
     moved = ends - ends[0]
     far = np.linalg.norm(moved, axis=2).max(axis=0) + slack
-    bend = reach * float(passed.first.sum() ** 2 + passed.second.sum())
+    turned = float(np.sum(passed.first * (1.0 + share)))
+    bend = reach * float(turned**2 + passed.second.sum())
+    beside = reach * float((ramp.q_error + noise).sum() * turned + np.sum(passed.first * share))
     moves = step > 0.0
     chord = np.linalg.norm(np.diff(ends, axis=0), axis=2)[moves] / step[moves, None]
-    link_speed = passed.rate * (chord + step[moves, None] * bend).max(axis=0) + reach * float(ramp.dq_error.sum())
+    link_speed = passed.rate * (chord + step[moves, None] * bend + beside).max(axis=0) + reach * float(ramp.dq_error.sum())
     return StopBound(
         "1", certified=True, why="", time=time, forward=forward, back=back, speed=speed, tcp=float(tool[0]), tcp_speed=float(tool[1]),
         tcp_box=np.stack([moved[:, -1].min(axis=0) - slack, moved[:, -1].max(axis=0) + slack], axis=1),

@@ -212,6 +212,11 @@ def ramp_time(ramp: Ramp, v_lo: Array, v_hi: Array) -> Array | None:
     return ramp.control.hi + (ramp.value.hi if ramp.kind == "time" else fast / ramp.value.lo) + ramp.after
 
 
+def of_the_arm(ramp: Ramp, shares: Array) -> Ramp:
+    """The ramp with tracking errors of the arm itself, whose joints turn by ``shares`` (n,) more or less than they read."""
+    return replace(ramp, q_error=ramp.q_error * (1.0 + shares), dq_error=ramp.dq_error * (1.0 + shares))
+
+
 def drive_limit(model: Model) -> Array:
     """(n,) [N m] what a drive surely can give. One of which an effect says that it gives less than it tells, tells its limit no better."""
     out = np.array(model.robot.torque_limit, float)
@@ -224,9 +229,31 @@ def drive_limit(model: Model) -> Array:
     return out
 
 
-def infeasible(model: Model, asked: Array) -> str | None:
-    """A sentence if a drive has not the torque (n,) [N m] that is ``asked`` of it, None if all have."""
-    limit = drive_limit(model)
+NEVER = 1e300  # [N m] of a gear whose load makes no friction
+
+
+def gear_limit(model: Model, gear: Array) -> Array:
+    """(n,) [N m] what links and rotors may ask of a drive in a ramp for its gear's load: friction that grows with that is known up to ``gear`` (n,)
+    [N m]. A drive stronger than brakes and gravity could load it more, and then has less left beside that friction than was counted."""
+    out = np.full(model.n, NEVER)
+    for f in model.effects:
+        effect = effect_of(f)
+        if effect.role == "friction" and "load" in effect.needs:
+            at = list(effect.acts_on(f.joint, model.joints))
+            out[at] = gear[at]
+    return out
+
+
+def infeasible(model: Model, asked: Array, extra: Array, most: Array) -> str | None:
+    """A sentence if a drive has not the torque (n,) [N m] that links and rotors have ``asked`` of it and what comes on top, ``extra`` (n,); or if
+    that loads its gear by more than the ``most`` (n,) for which friction is known. None if all have."""
+    over = np.flatnonzero(asked > most)
+    if len(over):
+        return (
+            f"the ramp asks {asked[over[0]]:.3g} N m of the gear of {model.joints[over[0]]}, whose friction grows with its load and is known up to "
+            f"{most[over[0]]:.3g} N m: not credible; use a gentler ramp or the guaranteed stop"
+        )
+    limit, asked = drive_limit(model), asked + extra
     worst = int(np.argmin(limit - asked))
     if asked[worst] <= limit[worst]:
         return None

@@ -12,7 +12,7 @@ from stopset.core.library import lib, view
 from stopset.effects.bound import SIGMAS
 from stopset.errors import NotCovered
 from stopset.reach.stops.brakes import brakes_of
-from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, Torques, described, misreadings, torques_of
+from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, Torques, described, misread_shares, misreadings, torques_of
 from stopset.reach.stops.payload import bodies, weighed
 from stopset.reach.stops.tube import Plant, plant_struct
 from stopset.robot.rigid import mass_matrix
@@ -77,6 +77,11 @@ class Setting:
     def truth(self) -> Box:
         """(2n,) the true state less the measured one."""
         return Box(-self.noise.hi, -self.noise.lo)
+
+    @property
+    def shares(self) -> Array:
+        """(n,) see `misread_shares`."""
+        return misread_shares(self.model)
 
     @property
     def payloads(self) -> int:
@@ -150,7 +155,8 @@ def readings_of(model: Model) -> tuple[Box, Box]:
     """(2n,) each: error of a measured state, less what effects of the model set right in it; and what a power-off stop starts from, less
     the measured state."""
     sets = model.sets.get("stop0", model.powered)
-    misread = misreadings(model, np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi)))
+    read_wrong = np.maximum(np.abs(sets.V.lo), np.abs(sets.V.hi))[model.n :]  # a share is misread of what is read without that
+    misread = misreadings(model, np.maximum(np.abs(model.domain.dq.lo), np.abs(model.domain.dq.hi)) + read_wrong)
     noise = Box(sets.V.lo - misread.hi, sets.V.hi - misread.lo)
     return noise, sets.X0 + misread if "stop0" in model.sets else Box(-noise.hi, -noise.lo)
 

@@ -121,7 +121,7 @@ static int room_of(const Task *t, double begin, double end, double rate, double 
     StopsetPlant plant;
     const int bounded = there(t, begin, end, rate, friction, top, &plant); /* friction without a bound leaves nothing */
     for (int i = 0; i < t->n; i++) {
-        room[i] = bounded * t->ramp->limit[i] * (1.0 - RESERVE) - rubbing(&plant, i, top[i]);
+        room[i] = least(bounded * t->ramp->limit[i] * (1.0 - RESERVE) - rubbing(&plant, i, top[i]), t->ramp->gear[i] * (1.0 - RESERVE));
         if (!(room[i] > 0.0)) return i;
     }
     return -1;
@@ -327,6 +327,7 @@ static int look(const Task *t, double s0, double asked, double begin, const Prof
                 for (int i = 0; i < n; i++) {
                     const double used = size_of(tau[i] + plant.rotor[i] * a[i]) + plant.rotor_half[i] * size_of(a[i]);
                     p->room = least(p->room, bounded * t->ramp->limit[i] - used - rubbing(&plant, i, size_of(v[i])));
+                    p->room = least(p->room, t->ramp->gear[i] - most(used, size_of(tau[i]))); /* the gear bears the link's alone */
                 }
             }
         }
@@ -338,24 +339,31 @@ static int look(const Task *t, double s0, double asked, double begin, const Prof
     return p->room < 0.0 ? STOPSET_PATH_SHORT : STOPSET_OK;
 }
 
-/* How far the arm is moved, how fast, in joints and at the tool; what lies between two poses is within half their spacing of one. */
+/* How far the arm is moved, how fast, in joints and at the tool; what lies between two poses is within half their spacing of one.
+ *
+ * The arm is beside the poses by what is wrong of its reading at the request, which moves with it: no point is moved by more than twice that times its reach
+ * more or less for it, nor by more than how far the arm has turned meanwhile times that; and by what changes on the way, tracking and misreading. */
 static void bound(const Task *t, double s0, const StopsetPassed *p, const StopsetBound *out) {
     const int n = t->n;
     const StopsetArm *arm = &t->stops->plant.arm;
     double lo[SN], hi[SN], first[SN], second[SN], J[3 * SN], here[3], start[3], spacing = 0.0, far = 0.0, fast = 0.0;
     double reach = sqrt(t->stops->tool[0] * t->stops->tool[0] + t->stops->tool[1] * t->stops->tool[1] + t->stops->tool[2] * t->stops->tool[2]);
-    double off = 0.0, sway = 0.0, turned = 0.0, bent = 0.0;
+    double off = 0.0, aside = 0.0, beside = 0.0, travel = 0.0, sway = 0.0, turned = 0.0, bent = 0.0, misread = 0.0;
     stretch(t, s0, least(s0 + p->length, t->path->knots[t->path->pieces]), lo, hi, first, second);
     for (int i = 1; i < n; i++) reach += sqrt(arm->p[3 * i] * arm->p[3 * i] + arm->p[3 * i + 1] * arm->p[3 * i + 1] + arm->p[3 * i + 2] * arm->p[3 * i + 2]);
     for (int64_t k = 1; k < p->poses; k++) spacing = most(spacing, p->s[k] - p->s[k - 1]);
     for (int i = 0; i < n; i++) {
-        const double more = t->ramp->q_error[i];
-        out->forward[i] = most(hi[i] - p->q[i], 0.0) + more;
-        out->back[i] = most(p->q[i] - lo[i], 0.0) + more;
-        out->speed[i] = p->rate * first[i] + t->ramp->dq_error[i];
-        off += 0.5 * spacing * first[i] + t->off[i];
+        const double more = t->ramp->q_error[i], share = t->path->share[i], ahead = most(hi[i] - p->q[i], 0.0), behind = most(p->q[i] - lo[i], 0.0);
+        out->forward[i] = ahead * (1.0 + share) + more;
+        out->back[i] = behind * (1.0 + share) + more;
+        out->speed[i] = p->rate * first[i] * (1.0 + share) + t->ramp->dq_error[i];
+        off += 0.5 * spacing * first[i] + more + most(ahead, behind) * share;
+        aside += t->path->noise[i];
+        beside += t->off[i];
+        travel += most(ahead, behind);
         sway += t->ramp->dq_error[i];
-        turned += first[i];
+        turned += first[i] * (1.0 + share);
+        misread += first[i] * share;
         bent += second[i];
     }
     for (int64_t k = 0; k < p->poses; k++) {
@@ -372,8 +380,8 @@ static void bound(const Task *t, double s0, const StopsetPassed *p, const Stopse
         far = most(far, move);
         fast = most(fast, pace);
     }
-    out->tool[0] = sqrt(far) + reach * off;
-    out->tool[1] = p->rate * (sqrt(fast) + 0.5 * spacing * reach * (turned * turned + bent)) + reach * sway;
+    out->tool[0] = sqrt(far) + reach * (off + aside * least(travel, 2.0));
+    out->tool[1] = p->rate * (sqrt(fast) + 0.5 * spacing * reach * (turned * turned + bent) + reach * (beside * turned + misread)) + reach * sway;
 }
 
 /* Whether every state passed lies where the model speaks. */

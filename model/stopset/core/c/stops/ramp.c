@@ -119,10 +119,10 @@ static int feasible(const StopAsk *a, const StopsetRamp *r, const StopsetPlant *
     double asked[SN] = {0}, extra[SN], left[SN];
     for (int i = 0; i < p->arm.n; i++) {
         extra[i] = p->coulomb_hi[i] + p->viscous_hi[i] * fastest[i] + most(size_of(p->u_lo[i]), size_of(p->u_hi[i]));
-        left[i] = r->limit[i] - extra[i];
+        left[i] = least(r->limit[i] - extra[i], r->gear[i]);
     }
     int have = stopset_ramp_torque(p, r, &a->from, &a->tube, a->made, left, asked) == STOPSET_OK;
-    for (int i = 0; i < p->arm.n; i++) have &= asked[i] + extra[i] <= r->limit[i];
+    for (int i = 0; i < p->arm.n; i++) have &= (asked[i] + extra[i] <= r->limit[i]) & (asked[i] <= r->gear[i]);
     return have;
 }
 
