@@ -80,7 +80,9 @@ def examine(
     found = search(already, names, progress=progress)
     progress("what is left, and what these recordings cannot tell")
     left = left_of(found)
-    return Examination(already, found, left, _ranked(found, already, left), plays(robot, recordings))
+    # what bends a gear is the torque of the arm as it is, with what it carries and all: a description may be any times off
+    as_fitted = robot.with_parameters(robot.pi + left.theta[: robot.pi.size].reshape(robot.pi.shape))
+    return Examination(already, found, left, _ranked(found, already, left), plays(as_fitted, recordings))
 
 
 def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:

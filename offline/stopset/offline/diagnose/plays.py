@@ -4,7 +4,7 @@ What the link lies off its motor is the gear's bend, in proportion to the link's
 to which that torque pushes.  Beside both a constant, the encoders' once-per-turn errors, friction behind the gear and readings of
 another moment are fitted.  A gear that is merely soft about zero bends smoothly there: where a smooth curve explains as much there is no
 gap.  The motor's torque tells none of it: see docs/diagnosis.md.  The gear's stiffness is the link's torque over that bend, known no better than
-the description tells that torque.
+the arm's masses tell that torque.
 
 Source: Nordin & Gutman (2002), Controlling mechanical systems with backlash: a survey.
 """
