@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
 from stopset.monitor.rhythm import HOP, SPECTRA, STAMPS, Rhythm
+from stopset.types import Array
 
 LEAST, MOST = 32, 128  # intervals that the pace is found from
 LONG, LOOK = 2048, HOP  # and where stamps scatter too much for so few: so many, looked at once in so many samples
@@ -64,29 +64,34 @@ class Pace:
     def _looked_at(self) -> str:
         """By the last intervals, which are soon others; by many, whose middle is surer; and by the line in the spectrum of their
         stamps, where both are not sure: any may see another cycle."""
-        newest = self._taken % len(self._stamps)
-        stamps = (self._stamps[newest:] + self._stamps[:newest])[-self._taken :]
         if self._taken - self._looked > SPECTRA * HOP:  # what was seen then is of another time
             self._rhythm.forget()
         if self._looks % LOOK == 0:
-            self._long_why = self._said(stamps) or self._of_line(stamps)
+            self._long_why = self._said(self._latest(LONG + 1)) or self._of_line(self._latest(STAMPS))
         self._looks, self._looked = self._looks + 1, self._taken
-        return self._said(stamps[-1 - MOST :]) or self._long_why
+        return self._said(self._latest(MOST + 1)) or self._long_why
 
-    def _of_line(self, stamps: array[float]) -> str:
+    def _latest(self, most: int) -> Array:
+        """The stamps that came last, the newest at the end."""
+        ring: Array = np.frombuffer(self._stamps)
+        newest, count = self._taken % len(ring), min(most, self._taken)
+        return ring[newest - count : newest] if count <= newest else np.concatenate((ring[newest - count :], ring[:newest]))
+
+    def _of_line(self, stamps: Array) -> str:
         if len(stamps) < STAMPS:
             return ""
-        self._rhythm.take(np.array(stamps[-STAMPS:]))
+        self._rhythm.take(stamps)
         seen = self._rhythm.other()
         return self._words(seen) if seen else ""
 
-    def _said(self, stamps: array[float]) -> str:
+    def _said(self, stamps: Array) -> str:
         """By the middle interval, which lost samples and those held up do not move."""
-        intervals = [b - a for a, b in pairwise(stamps)]
+        intervals: Array = np.diff(stamps)
         near = _middle(intervals)
-        intervals = [x for x in intervals if abs(x - near) <= 0.5 * near] or [near]
+        close = intervals[np.abs(intervals - near) <= 0.5 * near]
+        intervals = close if len(close) else np.array([near])
         seen = _middle(intervals)
-        scatter = _middle([abs(x - seen) for x in intervals])
+        scatter = _middle(np.abs(intervals - seen))
         if abs(seen - self.period) <= max(ANOTHER * self.period, SURE * ERROR * scatter / len(intervals) ** 0.5):
             return ""
         return self._words(seen)
@@ -98,5 +103,6 @@ class Pace:
         )
 
 
-def _middle(x: list[float]) -> float:
-    return sorted(x)[len(x) // 2]
+def _middle(x: Array) -> float:
+    middle = len(x) // 2
+    return float(np.partition(x, middle)[middle])
