@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from stopset.types import Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
+from stops_attack import an_arm, attacked, case_of
+from stops_attack_paths import one as attacked_path
 from stops_effects import Laws, cases, drawn, hiding, misread_by
 from stops_effects_published import Asked, held, ramps, run
 
@@ -86,3 +89,23 @@ def test_along_a_path_the_arm_is_held_and_goes_no_farther_than_told(name: str) -
         assert np.all(moved >= b.tcp_box[:, 0] - 1e-6) and np.all(moved <= b.tcp_box[:, 1] + 1e-6)
         poses += len(true)
     assert poses == 1440
+
+
+def test_stops_bred_towards_a_bound_along_a_path_stay_within_it() -> None:
+    """A part of benchmarks/stops_attack_paths.py: a recorded path, an arm with an eccentric code disc, drives hardly strong enough."""
+    asked = argparse.Namespace(seed=6, effect=[], rounds=2, count=6)
+    name, found = attacked_path(16, asked)
+    assert "encoder_eccentricity" in name and "recorded" in name
+    assert found is not None and found.stops == 12 and found.nearest > 0.9 and found.wrong == ()
+
+
+def test_stops_bred_towards_a_bound_stay_within_it_whatever_readings_and_drives() -> None:
+    """A part of benchmarks/stops_attack.py: STOP 2 of arms with sets of recorded stops, drives hardly strong enough."""
+    rng = np.random.default_rng([12, 0])
+    name, model = an_arm(rng, ["counterbalance"])
+    case = case_of(model, name, "2", rng)
+    while "readings" not in case.name or "hardly" not in case.name:
+        name, model = an_arm(rng, ["counterbalance"])
+        case = case_of(model, name, "2", rng)
+    found = attacked(case, 2, 6, rng)
+    assert found is not None and found.stops == 12 and found.nearest > 0.9 and found.wrong == ()
