@@ -33,7 +33,6 @@ from stopset.offline.nominal.normal_equations import accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.recording import Recordings, SuiteKey
 from stopset.robot import Robot
-from stopset.types import Array
 
 Lags = tuple[Mapping[str, Any], ...]  # entries of `lag_entry`
 
@@ -58,7 +57,7 @@ class Inquiry:
     @property
     def before(self) -> Beforehand:
         """What is known of the recordings before they are asked."""
-        return Beforehand(None, self.known, taken_std(self.robot.joints, self.asked, self.taken_out))
+        return Beforehand(None, self.known, taken_std(self.asked, self.taken_out))
 
     @property
     def asked(self) -> Recordings:
@@ -149,13 +148,14 @@ def _common(taken_out: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
     return -sum(float(x["value"]) for x in lags), sum(float(x["std"]) for x in lags)
 
 
-def taken_std(joints: Sequence[str], recordings: Recordings, taken_out: Sequence[Mapping[str, Any]]) -> Array:
-    """(n,) [s] how far off the lag is that was taken out of each joint's torque: that of all, where it was, and the joint's own."""
+def taken_std(recordings: Recordings, taken_out: Sequence[Mapping[str, Any]]) -> float:
+    """[s] how far off the lag is that was taken out of the torque that is asked; 0 where none was.
+
+    A joint's own lag, which identification takes out of its fit, stays in the record: a delay found there is told by that alone.
+    """
     moving = [r for r in recordings if r.phase != "static" and len(r.t) > 1]
     lag, std = _common(taken_out)
-    all_of_them = std if moving and whole_samples(lag, std, period_of(moving)) else 0.0
-    own = {x["joint"]: float(x["std"]) for x in taken_out if x["joint"] is not None and x["unit"] == "s"}
-    return np.hypot(all_of_them, [own.get(j, 0.0) for j in joints])
+    return std if moving and whole_samples(lag, std, period_of(moving)) else 0.0
 
 
 def common_lags(taken_out: Sequence[Mapping[str, Any]]) -> Lags:

@@ -50,7 +50,7 @@ class Engine:
     size: int  # columns in all; column 0 is y
     scales: tuple[float, ...]  # how far links and rotors may be off, for evidence to choose from
     rotor_scales: tuple[float, ...]
-    lag_std: Array  # (n,) [s] how far off the lag is that was taken out of each joint's torque before; 0: none was
+    lag_std: float  # [s] how far off the lag is that was taken out of all joints' torque before; 0: none was
     _level: dict[int, float] = field(default_factory=dict)
     _drowned: dict[int, bool] = field(default_factory=dict)
     _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
@@ -108,7 +108,7 @@ class Engine:
             2 + 15 * n,
             scales,
             (1.0,) if known else limit.ROTOR_SCALES,
-            np.zeros(n) if before.lag_std is None else before.lag_std,
+            before.lag_std,
         )
 
     @property

@@ -36,12 +36,12 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Beforehand:
-    """What is known before recordings are asked: the description's ``tolerance``, a model's ``known``, and ``lag_std`` (n,) [s], how far
-    off the lag is that was taken out of each joint's torque."""
+    """What is known before recordings are asked: the description's ``tolerance``, a model's ``known``, and ``lag_std`` [s], how far off the
+    lag is that was taken out of all joints' torque, 0 where none was."""
 
     tolerance: Tolerance | None = None
     known: Known | None = None
-    lag_std: Array | None = None
+    lag_std: float = 0.0
 
 
 def link_tolerance(robot: Robot, tol: Tolerance) -> Array:

@@ -71,7 +71,7 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
             symbol = c.effect.terms[0].symbol
             stamped = [place[int(k)] for k in engine.stamps]
             by_stamps = _lag_deviation(now, deviation[symbol], theta[stamped], sd[stamped])
-            deviation[symbol] = float(np.hypot(by_stamps, engine.lag_std[c.joints[0]]))
+            deviation[symbol] = float(np.hypot(by_stamps, engine.lag_std))
     return out
 
 
