@@ -9,7 +9,8 @@ import numpy as np
 
 from stopset.types import Array
 
-POWERED = ("open_loop", "closed_loop")  # in which arms move under power; poses, and stops, are told apart by their numbers
+# in which arms move under power, best first: open loop lets the states diverge as a prediction does; poses, and stops, repeat by their numbers
+POWERED = ("open_loop", "closed_loop")
 COMPARED = 512  # samples of a trial that are compared
 # of its own size by which a motion differs from another one's: two that have nothing in common by 1.4; of the 28 labelled sets repetitions
 # by 0.31 at most, as friction falls while drives warm up, and other motions of one suite by 0.73 at least

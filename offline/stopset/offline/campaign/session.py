@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Self
 
 from stopset.recording import Recording, SuiteKey
+from stopset.recording.repetition import POWERED
 
 REPEATED = 6  # repetitions of one suite from which on the repetition, not the place in the session, is the time of warming
-# which phases the powered sets rest on, best first: open loop lets the states diverge as a prediction does
-POWERED = ("open_loop", "closed_loop")
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,10 @@ from stopset.offline.campaign.calibration import split
 from stopset.offline.campaign.independence import Ends, independent_motions
 from stopset.offline.campaign.noise import NoiseEstimate
 from stopset.offline.campaign.reading_error import ReadingError
-from stopset.offline.campaign.session import POWERED, Session
+from stopset.offline.campaign.session import Session
 from stopset.offline.campaign.trials import Source
 from stopset.recording import Recording, SuiteKey
+from stopset.recording.repetition import POWERED
 from stopset.recording.types import Spike
 from stopset.sets import Box
 from stopset.types import Array

@@ -17,7 +17,6 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
 from stopset.effects.selection import usual_friction
-from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import TorqueModel
 from stopset.offline.compare.restored import restored
@@ -32,6 +31,7 @@ from stopset.offline.nominal.nominal import lag_entry
 from stopset.offline.nominal.normal_equations import accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.recording import Recordings, SuiteKey
+from stopset.recording.repetition import POWERED
 from stopset.robot import Robot
 
 Lags = tuple[Mapping[str, Any], ...]  # entries of `lag_entry`

@@ -68,7 +68,7 @@ from stopset.reach import nonlinear as flow
 from stopset.reach.stops import bounds, brakes, failed, gravity, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import clock as recorded_clock
-from stopset.recording import ends, reader, spikes
+from stopset.recording import ends, reader, repetition, spikes
 from stopset.recording import rows as recorded_rows
 from stopset.ring import interval
 from stopset.robot import drives, generic
@@ -88,7 +88,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("effects", base, "REFERENCE_TEMPERATURE"),
     ("effect signals", signals, "_STEP"),
     ("survey", survey, "JITTER DRIFT KEEP STOPS"),
-    ("session", session, "REPEATED POWERED"),
+    ("repetition", repetition, "POWERED COMPARED ANOTHER MOVES"),
+    ("session", session, "REPEATED"),
     (
         "independence",
         independence,
@@ -111,7 +112,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("output error", output_error, "VELOCITY_TIME ITERATIONS STARTS FEW FAR PROGRESS UNDETERMINED NOT_FELT USUAL_TIME"),
     ("parameter uncertainty", parameter_uncertainty, "ERRORS SHARE STATES SPAN"),
     ("physical", physical, "MARGIN SMALL FAR FEASIBLE NEAR"),
-    ("prior", prior, "IDENTIFICATION CARRIED CARRIED_AT"),
+    ("prior", prior, "IDENTIFICATION LIGHT CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
     ("rotors", rotors, "POSES FAR"),
     ("scale", scale, "SHARE"),
@@ -154,7 +155,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("effects in a stop", bound, "SIGMAS"),
     ("stop brakes", brakes, "BRAKE_TOLERANCE"),
     ("stop friction", stop_friction, "FRICTION_TOLERANCE BEYOND ROUNDING"),
-    ("stop ramp", ramp, "KNOTS STILL"),
+    ("stop ramp", ramp, "KNOTS STILL NEVER"),
     ("stop gravity", gravity, "GRID OUTWARD"),
     ("stop tube", tube, "PASSES RECENTRE ENERGY_CLAIMS ENERGY_ROUNDING RATE_ROUNDING"),
     (

@@ -24,7 +24,6 @@ from stopset.errors import ModelFileError, RecordingError
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.map_reduce import TrialCounter
 from stopset.offline.campaign.run import Run
-from stopset.offline.campaign.session import POWERED
 from stopset.offline.campaign.settings import settings_of
 from stopset.offline.campaign.source import continued, joined, numbered_on
 from stopset.offline.campaign.survey import STOPS, Survey, Tally
@@ -37,6 +36,7 @@ from stopset.offline.update import staleness
 from stopset.offline.update.sums_file import load_sums, save_sums
 from stopset.progress import Progress, silent
 from stopset.recording import Recording, suite_label
+from stopset.recording.repetition import POWERED
 
 __all__ = ["load_state", "save_state", "update"]
 
