@@ -552,7 +552,7 @@ def test_bad_logs_and_recordings_are_refused(tmp_path: Path, capsys: pytest.Capt
         assert word in capsys.readouterr().err
     assert not (tmp_path / "out.parquet").exists(), "nothing is written"
     r = motion(0, 20)
-    uneven = Recording(*r.key[1:], 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
+    uneven = Recording(r.phase, r.suite, r.trial, 0, r.t + 0.002 * (np.arange(20) % 2), r.q, r.dq, r.tau)
     with pytest.raises(RecordingError, match=r"even cycle.*--to zenoh:"):
         recorded([uneven])
     said: list[bytes] = []
