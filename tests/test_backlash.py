@@ -10,14 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nominal_cases import JOINTS, Truth, moving
+from nominal_cases import arm as heavy
 from stopset.artifact import load_model
 from stopset.cli.main import main
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.evidence.uncertainty import TWO_SIDES
+from stopset.offline.diagnose.examination import examine
 from stopset.offline.diagnose.plays import plays
-from stopset.recording import Recordings, read_recordings, write_recordings
-from stopset.robot.rigid import gravity_torques
+from stopset.recording import Meta, Recordings, read_recordings, write_recordings
+from stopset.robot.rigid import gravity_torques, torques
 from stopset.simulation import Scenario, prepare
 from stopset.types import Array
 from test_hidden_effects import ARM
@@ -166,3 +169,21 @@ def test_a_simulated_cell_has_second_encoders_on_request(tmp_path: Path) -> None
     (bend,) = plays(load_robot(tmp_path / "both" / "robot.urdf"), both).bends
     p = bend.parameters["K"]
     assert bend.joints == ("lift",) and p.std is not None and abs(p.value - hidden) < TWO_SIDES * p.std
+
+
+def test_a_heavy_arms_gears_bend_too_and_by_the_arm_as_it_is() -> None:
+    """A KR 300's gears have millions of N m/rad: beyond what could be named; and its description lacked what the arm carried."""
+    described, stiffness = heavy(mass=150.0), 3e6
+    true = described.with_parameters(2.0 * described.pi)
+    trials = []
+    for k, seconds in enumerate((12.0, 12.0, 12.0)):
+        r = moving(Truth(true, noise=np.full(3, 5.0)), k, seconds, 0.8, 7, phase="open_loop")
+        acceleration = np.gradient(r.dq, r.t, axis=0)
+        link = torques(true.chain, true.pi, r.q, r.dq, acceleration)
+        bent = r.q - link / stiffness + 2e-6 * np.random.default_rng(k).normal(size=r.q.shape)
+        trials.append(replace(r, q_link=np.column_stack([np.full(len(r.t), np.nan), bent[:, 1], np.full(len(r.t), np.nan)])))
+    found = examine(described, Recordings(Meta(joints=JOINTS), tuple(trials)))
+    (gear,) = found.plays.bends
+    K = gear.parameters["K"]
+    assert gear.joints == ("shoulder",) and K.std is not None
+    assert abs(K.value - stiffness) < TWO_SIDES * K.std < 0.3 * stiffness, K
