@@ -447,3 +447,9 @@ def test_a_finer_law_that_predicts_no_better_than_its_plainer_form_is_not_named(
     """A dress pack a tenth stiffer at its ends was a gas spring of a score 94 larger, which lowers the error of other motions by 0.2 %."""
     answer = found_pairs.asked("lwa4p", found_pairs.weeks_later(found_pairs.drawn(108084, 6), 108084), 108084)
     assert answer["right"] and answer["named"] == ["spring:arm_2_joint"], answer
+
+
+def test_limits_that_nearly_depend_on_one_another_are_met_all_the_same() -> None:
+    """The exchange of active rows went in circles, and two of 24 drawn arms were refused: limits that contradict each other, it said."""
+    answer = found_pairs.asked("lwa4p", found_pairs.weeks_later(found_pairs.drawn(109070, 6), 109070), 109070)
+    assert answer["right"] and answer["named"] == ["payload:"], answer
