@@ -15,6 +15,7 @@ import numpy as np
 from as_found import ONE, PROGRAM, Trouble, recorded
 
 from stopset.effects.selection import usual_friction
+from stopset.errors import StopsetError
 from stopset.offline.description import load_robot
 from stopset.offline.nominal.delay import estimate_delay
 from stopset.offline.nominal.nominal import trusted
@@ -51,7 +52,10 @@ def main() -> None:
     parser.add_argument("--late", type=float, nargs="+", default=[0.0, 5.0, 11.0], help="[ms] of the torque")
     args = parser.parse_args()
     for arm in args.arms:
-        robot = load_robot(arm)
+        try:
+            robot = load_robot(arm)
+        except StopsetError as e:
+            parser.error(str(e))
         for kind in args.kinds:
             for scatter in args.scatter:
                 for late in args.late:

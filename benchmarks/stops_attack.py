@@ -37,6 +37,7 @@ from stop_failing import failing_shares
 from stop_published import CHECKED, SHOWN, Places, Stopped, ramp_motion
 from stop_sampling import DT, SPEED_ERROR
 from stopset.artifact import Brakes, Model, UncertaintySets, load_model
+from stopset.effects import catalogue
 from stopset.effects.base import REFERENCE_TEMPERATURE, Fitted, Signals
 from stopset.effects.registry import get
 from stopset.errors import NotCovered
@@ -522,6 +523,8 @@ def main() -> int:
     parser.add_argument("--category", nargs="+", choices=CATEGORIES, default=CATEGORIES)
     parser.add_argument("--effect", nargs="+", default=[], help="arms have one of these")
     given = parser.parse_args()
+    if unknown := sorted(set(given.effect) - set(catalogue())):
+        parser.error(f"--effect {unknown[0]}: no such effect; expected some of {', '.join(catalogue())}")
     files = [(f.name, load_model(f)) for f in given.model]
 
     def one(k: int) -> tuple[str, Found | None]:

@@ -37,6 +37,7 @@ from stops_effects_published import Asked, held, rests
 
 from stop_published import NOT_ALONG_A_PATH, RINGING, Stopped
 from stopset.artifact import Model
+from stopset.effects import catalogue
 from stopset.errors import NotCovered
 from stopset.reach.stops import Ramp, StopBounds
 from stopset.reach.stops.path import Path, PathStop, path_stop
@@ -335,6 +336,8 @@ def main() -> int:
         "--effect", nargs="+", default=[], help="arms have one of these"
     )
     given = parser.parse_args()
+    if unknown := sorted(set(given.effect) - set(catalogue())):
+        parser.error(f"--effect {unknown[0]}: no such effect; expected some of {', '.join(catalogue())}")
     return campaign(given, lambda k: one(k, given))
 
 

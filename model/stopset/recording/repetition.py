@@ -35,17 +35,20 @@ class Motion:
     def repeated_by(self, other: Motion) -> bool:
         """Whether torques or angles go as here over the time that both last: open-loop trials share torques (Liu & Althoff 2018,
         def. 2), and their angles diverge; under a controller it is the angles, and friction may have changed."""
+        still = max(np.ptp(self.q, axis=0).max(), np.ptp(other.q, axis=0).max()) < MOVES
+        return bool(still or self.difference(other) <= ANOTHER)
+
+    def difference(self, other: Motion) -> float:
+        """By how much of its own size [1] the torque or the angle, the nearer of the two, differs over the time that both last."""
         t = self.t[self.t <= other.t[-1]]
-        if max(np.ptp(self.q, axis=0).max(), np.ptp(other.q, axis=0).max()) < MOVES:
-            return True
-        return any(_near(a[: len(t)], _at(t, other.t, b)) for a, b in ((self.tau, other.tau), (self.q, other.q)))
+        return min(_difference(a[: len(t)], _at(t, other.t, b)) for a, b in ((self.tau, other.tau), (self.q, other.q)))
 
 
 def _at(t: Array, stamps: Array, x: Array) -> Array:
     return np.column_stack([np.interp(t, stamps, c) for c in x.T])
 
 
-def _near(a: Array, b: Array) -> bool:
-    """Whether two signals (k, n) differ by less than `ANOTHER` of what they vary, all joints together."""
-    size = np.sqrt(0.5 * (a.var(axis=0).sum() + b.var(axis=0).sum()))
-    return bool(np.sqrt(((a - b) ** 2).mean(axis=0).sum()) <= ANOTHER * size)
+def _difference(a: Array, b: Array) -> float:
+    """Difference of two signals (k, n) over what they vary, root mean square, all joints together; 0 of two that are the same."""
+    size, off = 0.5 * float(a.var(axis=0).sum() + b.var(axis=0).sum()), float(((a - b) ** 2).mean(axis=0).sum())
+    return 0.0 if off == 0.0 else float(np.sqrt(off / max(size, 1e-300)))

@@ -30,7 +30,7 @@ from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.inspection import against_model
 from stopset.offline.inspect.mounting import mounting
 from stopset.offline.inspect.order import exchanged
-from stopset.offline.inspect.reversals import steps
+from stopset.offline.inspect.reversals import add_reversals
 from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
@@ -101,8 +101,8 @@ def check_torque(robot: Robot, meta: Meta, data: NormalEquations, lag: Delay, so
     What is strange but no error is returned in words. Raises `RecordingError`.
     """
     turns = np.zeros((3, robot.n))
-    for j, rise in (step for r in islice(some, LOOKED_AT) for step in steps(r)):
-        turns[:, j] += 1.0, rise, rise**2
+    for r in islice(some, LOOKED_AT):
+        add_reversals(turns, r)
     seen = (*torque_scales(robot, data), turns)
     _refuse(against_model(robot, meta, RIGHT_TORN, *seen))  # a wrong unit is no lag
     _refuse(torque_beyond(lag.beyond))

@@ -20,6 +20,12 @@ RESTS = 0.5  # [s] that a joint may stand between its two directions
 FEWEST = 4  # samples on each side
 
 
+def add_reversals(turns: Array, r: Recording) -> None:
+    """Add a trial's reversals to ``turns`` (3, n): how many each joint has, and sums of the torque's half steps [N m] there and of their squares."""
+    for j, rise in steps(r):
+        turns[:, j] += 1.0, rise, rise**2
+
+
 def steps(r: Recording) -> Iterator[tuple[int, float]]:
     """Joint and half the step of its torque [N m] along its new direction, of each reversal of a trial."""
     for j in range(r.q.shape[1]):

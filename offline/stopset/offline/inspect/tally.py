@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from stopset.offline.inspect.reversals import steps
+from stopset.offline.inspect.reversals import add_reversals
 from stopset.recording.clock import PAUSE
 from stopset.recording.spikes import peaks
 from stopset.recording.types import Recording, Spike
@@ -121,8 +121,7 @@ class SignalSums:
         power = np.where(moving, r.tau * r.dq, 0.0)
         self.power += np.array([power.sum(axis=0), np.abs(power).sum(axis=0)])
         if r.phase in ("closed_loop", "open_loop"):
-            for j, rise in steps(r):
-                self.turns[:, j] += np.array([1.0, rise, rise**2])
+            add_reversals(self.turns, r)
 
     def _clock(self, r: Recording) -> float:
         dt = np.diff(r.t)

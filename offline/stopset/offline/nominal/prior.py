@@ -37,7 +37,7 @@ class Tolerance:
 # the held-out torque error within 1 % of what 4 %, 5 mm, 20 % and 10 % leave; once raises it by up to 19 % (a rotor off its sheet).
 IDENTIFICATION = 2.0
 
-# [kg m^2] of an arm stretched from its first joint: a UR10e has 11, a KR 300 1,500, and rotors of up to 840 behind its gears, which a
+# [kg m^2] of an arm stretched from its first joint: a UR10e has 18, a KR 300 1,900, and rotors of up to 840 behind its gears, which a
 # prior of 10 held back for the links to make up
 LIGHT = 20.0
 
