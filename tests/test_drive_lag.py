@@ -79,7 +79,7 @@ def test_the_story_of_a_slow_drive_that_add_takes(tmp_path: Path) -> None:
     assert main(["add", model, "drive_lag", "--joint", "lift", "--data", data, "--out", more, "--json", str(answer)]) == 0
     added = next(e for e in json.loads(Path(more).read_text())["effects"] if e["effect"] == "drive_lag")
     hidden = truth["effects"][0]  # type: ignore[index]
-    assert added["values"]["T"] == pytest.approx(hidden["true_parameters"]["lag_s"] + HELD, abs=0.002)
+    assert added["values"]["T"] == pytest.approx(hidden["params"]["lag_s"] + HELD, abs=0.002)
 
 
 def test_where_recordings_do_not_tell_the_answer_says_both_and_either_is_estimated() -> None:
