@@ -62,8 +62,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = verdict_of(found, left)
     if verdict == "missing" and not ranked:
-        refuted = [c for c, r in zip(found.claims, x.ranked, strict=True) if r.objection]
-        verdict = "unknown" if any(max(c.excess_before) > limit.SENSORS for c in refuted) else "none"
+        verdict = "unknown" if any(max(c.excess_before) > limit.SENSORS for c in _refused(x)) else "none"
     loose = tuple(r for r in x.plays.beside([r.label for r in ranked]) if names is None or r.effect in names)
     blind = (
         *blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names),
@@ -186,7 +185,12 @@ def _beside(left: Unexplained, changed: Sequence[Change]) -> Unexplained:
 
 def _accounts(x: Examination, c: Change) -> bool:
     share = (c.error_after / max(c.error_before, 1e-12)) ** 2
-    return accounts_for(x.found, x.left, x.engine.data.joints.index(c.at), share)
+    return accounts_for(x.found, x.left, x.engine.data.joints.index(c.at), share, _refused(x))
+
+
+def _refused(x: Examination) -> list[Claim]:
+    """Claims that are no finding."""
+    return [c for c, r in zip(x.found.claims, x.ranked, strict=True) if r.objection]
 
 
 def _leaves_more(x: Examination, c: Change) -> bool:
