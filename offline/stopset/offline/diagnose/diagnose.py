@@ -131,8 +131,20 @@ def diagnose_model(
     if q.known is None:
         return found, q.against
     progress("what changed since identification")
-    changed = [c for c in changes(model, [r for r in q.recordings if moves(r)]) if get(c.effect).scope != "arm"]
+    beside = _beside_what_is_named(model, found)
+    changed = [c for c in changes(beside, [r for r in q.recordings if moves(r)]) if get(c.effect).scope != "arm"]
     return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
+
+
+def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:
+    """The model with the named effects whose torque the measured state tells: what these explain is no change of a level.
+
+    A cable pack at a joint that gravity loads looks like a torque scale of all joints, as hardly another one carries as much.
+    """
+    known = {f.label for f in model.effects}
+    named = [(r.fitted, get(r.effect)) for r in found.ranked if r.label not in known]
+    telling = tuple(f for f, law in named if law.compensated() and not law.states and "warm" not in law.needs)
+    return replace(model, effects=(*model.effects, *telling)) if telling else model
 
 
 def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
