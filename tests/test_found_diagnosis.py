@@ -418,7 +418,9 @@ def test_a_gas_spring_is_among_what_a_straight_law_of_a_loaded_joint_may_be() ->
     answer = found_pairs.asked("lwa4p", found_pairs.weeks_later(found_pairs.drawn(103112, 6), 103112), 103112)
     one_of = [f"{x}:arm_2_joint" for x in ("spring", "cable", "counterbalance")]
     assert (answer["named"], answer["one_of"]) == (one_of[:1], [one_of]), answer
-    assert not answer["changed"], "what the cable does at the joint that carries most looked like a torque scale of all joints, 4 % less"
+    assert not answer["changed"], (
+        "what the cable does at the joint that carries most looked like a torque scale of all joints, 4 % less"
+    )
 
 
 def pulled(data: Recordings, joint: int) -> Recordings:
