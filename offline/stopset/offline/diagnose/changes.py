@@ -109,6 +109,8 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
             rivals = [(c.only(here), since(c)) for c in alike if candidate.friction and c.joint == candidate.joint]
             candidate, judged = _truer(candidate, judged, rivals)
             found = [c for c in found if c.levels != candidate.levels]
+            if not candidate.enough(judged.theta):
+                continue
             same_law = _as_good(candidate, judged, rivals)
             out += [replace(c, alike=same_law) for c in _said(model, candidate, judged, begins[onset] if onset else "")]
             left = left - np.einsum("rjk,k->rj", candidate.columns, judged.theta)

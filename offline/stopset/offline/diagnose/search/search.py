@@ -16,7 +16,7 @@ from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.offline.diagnose.search.lag_form import formed
-from stopset.offline.diagnose.search.predicts import judged, outdone
+from stopset.offline.diagnose.search.predicts import judged, outdone, outdone_at_a_joint
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.search.settle import instead, other_gears, said_already, settle
@@ -96,7 +96,8 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
-        if judged(earlier, candidate, before, error, hyper, claimed).why or outdone(top.scored, left, refused):
+        otherwise = outdone(top.scored, left, refused) or outdone_at_a_joint(earlier, top.scored, left, refused, hyper)
+        if otherwise or judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
             refused.add(top.scored.candidate.key)
