@@ -182,7 +182,7 @@ class World:
         if self.stopped and frame.cob_id > 0x700:
             frame = frame._replace(data=b"\x04")
         # the adapter stamps with this machine's clock, as it was set then
-        return frame._replace(t=frame.t + (EPOCH + self.jumped) * 1e-9) if math.isfinite(frame.t) else frame
+        return Frame(frame.cob_id, frame.data, frame.t + (EPOCH + self.jumped) * 1e-9) if math.isfinite(frame.t) else frame
 
     def close(self) -> None:
         """The bus's."""
@@ -366,7 +366,10 @@ class Desk:
     restarts = 0
 
     def __init__(self, world: World) -> None:
-        self.world, self.down_until = world, -math.inf
+        self.world, self.down_until, a = world, -math.inf, np.full(6, 0.1)
+        # the same as long as nothing changes, as the desk gives them
+        self.there = {"0": Numbers(a, a, a, 0.02, np.full(6, True))}
+        self.gone = {"0": Numbers.none(6, "the process that bounds stops has ended")}
 
     def offer(self, t: float, q: Any, dq: Any) -> None:
         if self.world.rng.random() < self.world.faults.no_bound:
@@ -374,9 +377,8 @@ class Desk:
 
     def now(self, q: Any, dq: Any) -> tuple[dict[str, Numbers], bool]:
         if self.world.now < self.down_until:
-            return {"0": Numbers.none(6, "the process that bounds stops has ended")}, False
-        a = np.full(6, 0.1)
-        return {"0": Numbers(a, a, a, 0.02, np.full(6, True))}, True
+            return self.gone, False
+        return self.there, True
 
     def close(self) -> None:
         """Nothing runs."""

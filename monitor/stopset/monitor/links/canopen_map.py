@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import canopen
 import numpy as np
@@ -134,18 +134,41 @@ def _frame_map(
     return FrameMap(pdo.cob_id, layout, tuple(targets), codes[1:], synchronous)
 
 
+class Number(NamedTuple):
+    """A number of a frame: its ``bits`` and between which ends it lies, 0 for one that is not whole; and its (signal row, joint)."""
+
+    bits: int
+    lo: int
+    hi: int
+    target: tuple[int, int] | None
+
+    @classmethod
+    def of(cls, code: str, target: tuple[int, int] | None) -> Number:
+        """By its letter in `FORMATS`."""
+        if code in "fd":
+            return cls(0, 0, 0, target)
+        bits = 8 * struct.calcsize("<" + code)
+        return cls(bits, *((-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)), target)
+
+
 @dataclass(slots=True)
 class Encoder:
     """One sample to the frames a bus with this profile would show: SYNC first, then every PDO, and heartbeats when due."""
 
     profile: Profile
     maps: dict[int, FrameMap] = field(init=False)
+    _scale: Array = field(init=False)  # (signals, n)
+    _numbers: dict[int, list[Number]] = field(init=False)  # of each frame, as they stand in it
     _count: int = 0
     _beats: int = 0  # heartbeat periods that have gone by
     _sent: dict[int, bytes] = field(default_factory=dict)  # what was sent last; event-driven frames go when it changes
 
     def __post_init__(self) -> None:
         self.maps = frame_maps(self.profile)
+        self._scale = np.ones((len(SIGNALS), len(self.profile.nodes)))
+        for name, s in self.profile.signals.items():
+            self._scale[SIGNALS.index(name)] = s.scale
+        self._numbers = {m.cob_id: [Number.of(c, t) for c, t in zip(m.codes, m.targets, strict=True)] for m in self.maps.values()}
 
     def skip(self, cycles: int) -> None:
         """Let the SYNC counter run on as if ``cycles`` had gone by unseen."""
@@ -153,17 +176,18 @@ class Encoder:
 
     def frames(self, values: Array) -> Iterator[tuple[int, bytes]]:
         """(COB-ID, data) of one cycle for SI ``values`` (signals, n); raises `BusError` where a number does not fit."""
-        counts = np.array(values)
-        for name, s in self.profile.signals.items():
-            counts[SIGNALS.index(name)] /= s.scale
+        counts = (values / self._scale).tolist()
         overflow = self.profile.sync_overflow
         yield self.profile.sync_id, bytes([self._count % overflow + 1]) if overflow else b""
         self._count += 1
         for m in self.maps.values():
-            out = []
-            for code, target in zip(m.codes, m.targets, strict=True):
-                x = 0.0 if target is None else float(counts[target])
-                out.append(x if code in "fd" else self._whole(x, code, target))
+            out: list[float] = []
+            for number in self._numbers[m.cob_id]:
+                bits, lo, hi, target = number
+                x = 0.0 if target is None else counts[target[0]][target[1]]
+                if bits and not lo <= x <= hi:
+                    raise self._too_large(x, number)
+                out.append(round(x) if bits else x)
             data = m.layout.pack(*out)
             if m.synchronous or self._sent.get(m.cob_id) != data:
                 self._sent[m.cob_id] = data
@@ -174,13 +198,10 @@ class Encoder:
             self._beats = beats
             yield from ((HEARTBEAT + node, bytes([OPERATIONAL])) for node in dict.fromkeys(self.profile.nodes.values()))
 
-    def _whole(self, x: float, code: str, target: tuple[int, int] | None) -> int:
-        bits = 8 * struct.calcsize("<" + code)
-        lo, hi = (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
-        if not lo <= x <= hi:
-            what = f"{SIGNALS[target[0]]} of {self.profile.joints[target[1]]}" if target else "a value"
-            raise BusError(
-                f"{what} is {x:.6g} counts, which {bits} bits of {self.profile.name} cannot carry ({lo} to {hi}); "
-                "change the profile's scale"
-            )
-        return round(x)
+    def _too_large(self, x: float, number: Number) -> BusError:
+        bits, lo, hi, target = number
+        what = f"{SIGNALS[target[0]]} of {self.profile.joints[target[1]]}" if target else "a value"
+        return BusError(
+            f"{what} is {x:.6g} counts, which {bits} bits of {self.profile.name} cannot carry ({lo} to {hi}); "
+            "change the profile's scale"
+        )
