@@ -25,6 +25,7 @@ from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
+from stopset.offline.diagnose.search.structures import may_sit_at
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -153,7 +154,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
         why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
-        objections.append(why or _of_any_position(engine, claim))
+        objections.append(_of_the_structure(found, claim) or why or _of_any_position(engine, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
@@ -186,6 +187,19 @@ def _of_another_joint(engine: Engine, claim: Claim) -> str:
     others = [engine.data.joints[s.candidate.joints[0]] for s in claim.rivals if s.candidate.effect is c.effect]
     which = ", ".join(dict.fromkeys(others))
     return f"a soft gear at {which} explains nearly as much, and both swing faster than was looked for" if others else ""
+
+
+def _of_the_structure(found: Found, claim: Claim) -> str:
+    """Why a gear is no finding: what holds the arm, or a link of it, explains more if it gives."""
+    c = claim.scored.candidate
+    if c.effect.role != "swing":
+        return ""
+    where = may_sit_at(found.now.without(c.key), c, found.hyper)
+    return (
+        f"a flexible structure explains more: a pedestal that rocks or a link that bends (it may sit at {' or at '.join(where)})"
+        if where
+        else ""
+    )
 
 
 def _of_any_position(engine: Engine, claim: Claim) -> str:

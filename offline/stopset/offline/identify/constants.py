@@ -35,11 +35,11 @@ from stopset.offline.conform import (
     zonotopes,
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, plays, thresholds
-from stopset.offline.diagnose.columns import elasticity
+from stopset.offline.diagnose.columns import elasticity, structure
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
-from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, settled, wanted
+from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, settled, structures, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
@@ -176,6 +176,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis evidence", evidence, "RIDGES REPEATED"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
+    ("diagnosis structure", structure, "FOOT SHORT STEP"),
+    ("diagnosis structure", structures, "RATES FINER LIGHTLY"),
     ("diagnosis lag", lag_form, "FINEST SETTLED"),
     ("diagnosis settlement", settled, "PARTS"),
     ("diagnosis settlement", moment_arms, "SEARCHES ALONG CLIMB FALLS"),

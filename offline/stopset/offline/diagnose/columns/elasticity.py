@@ -84,6 +84,19 @@ class _Filter:
         return ffi.new("StopsetSwing *", (view(self.M), view(self.g), flags(self.first), self.K, self.D, self.dt, SUBSTEPS))
 
 
+def driven(
+    source: ArmSignals, torque: Array, gravity: Array, M: Array, g: Array, spring: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Position and acceleration (N,) of what swings on a ``spring`` (K, D) as ``torque`` (N,) drives it, of which ``gravity`` at rest."""
+    d, (K, D) = source.data, spring
+    rest, lead = source.begins(gravity)
+    M, g = np.ascontiguousarray(M), np.ascontiguousarray(g)
+    filtered = _Filter(M, g, K, D, d.step * d.kernel.dt, source.first, rest, lead)
+    quiet = calm(np.ascontiguousarray(torque), source.first)
+    x, _, ddx = filtered(quiet, *filtered.at_rest(quiet))
+    return x, ddx
+
+
 def _true_swing(source: ArmSignals, joint: int, K: float, D: float, *, begun: bool = False) -> Array:
     """(N, n) what a swinging link adds to every row, with gravity and inertia at the bent position: fixed-point iteration.
 

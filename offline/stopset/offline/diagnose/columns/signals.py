@@ -115,15 +115,19 @@ class ArmSignals:
         return out
 
     def start(self, joint: int) -> tuple[Array, float]:
+        """`begins` of a joint's gear."""
+        return self.begins(self.gravity[:, joint])
+
+    def begins(self, gravity: Array) -> tuple[Array, float]:
         """(N,) torque that bends the gear when a trial starts [N m], nan where it starts in motion; time before its first row.
 
-        From rest the gear carries gravity alone; what drives the joint then acts for half a kernel before the first row.
+        From rest the gear carries ``gravity`` (N,) alone; what drives the joint then acts for half a kernel before the first row.
         """
         d = self.data
         out = np.full(len(d.q), np.nan)
         for trial in d.trials:
             if trial.rows.stop > trial.rows.start and np.abs(d.dq_fine[trial.fine.start]).max() < limit.AT_REST:
-                out[trial.rows.start] = self.gravity[trial.rows.start, joint]
+                out[trial.rows.start] = gravity[trial.rows.start]
         return out, d.kernel.half * d.kernel.dt
 
     def tilt(self, *, still: bool) -> Array:

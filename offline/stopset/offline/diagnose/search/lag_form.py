@@ -30,14 +30,14 @@ SETTLED = 20.0  # time constants until nothing is left of what a lag was fed wit
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
+class LagForm:
     """A lag in its form, and the names of the others that the rows do not tell from it."""
 
     settled: Settled
     alike: tuple[str, ...] = ()
 
 
-def formed(now: Hypothesis, top: Settled, names: Sequence[str] | None) -> Form:
+def formed(now: Hypothesis, top: Settled, names: Sequence[str] | None) -> LagForm:
     """The claimed ``top`` beside ``now`` in the form that it has; of forms of ``names`` only, where some are asked for.
 
     Where rows do not tell, the plainer form stands, with the other one beside it.
@@ -45,24 +45,24 @@ def formed(now: Hypothesis, top: Settled, names: Sequence[str] | None) -> Form:
     c = top.candidate
     finer = [e for e in catalogue().values() if c.effect.name in e.refines and e.acting and asked(e, names)]
     if not finer or c.given is None or c.given >= 0.0:
-        return Form(top)
-    weighed = _Weighed.of(now, top, finer[0])
+        return LagForm(top)
+    weighed = _LagWeighed.of(now, top, finer[0])
     T, plain = weighed.best(), weighed.scored(c.effect, c.given)
     found = None if T is None else score_new(now, finer[0], c.joints, {"d0": T}, top.hyper)
     if T is None or plain is None or found is None:
-        return Form(top)
+        return LagForm(top)
     other = refitted(now, replace(found, score=found.score - weighed.noise(T)), top.hyper)
     if names is not None and c.effect.name not in names:
-        return Form(other)
+        return LagForm(other)
     most, least = weighed.noise_of(other, T)
     gained = weighed.raw(T) - plain.score
     if gained - most > limit.THRESHOLD:
-        return Form(other)
-    return Form(top) if gained - least < -limit.THRESHOLD else Form(top, (finer[0].name,))
+        return LagForm(other)
+    return LagForm(top) if gained - least < -limit.THRESHOLD else LagForm(top, (finer[0].name,))
 
 
 @dataclass(frozen=True, slots=True)
-class _Weighed:
+class _LagWeighed:
     """A drive's lag of any time constant in the place of the claimed lag ``top`` of a joint beside ``held``.
 
     ``whole``: variance that the torque's noise has in the whitened rows, summed; ``left``: and what they leave, the position's noise off.
@@ -76,10 +76,12 @@ class _Weighed:
     left: float
 
     @staticmethod
-    def of(now: Hypothesis, top: Settled, effect: Effect) -> _Weighed:
+    def of(now: Hypothesis, top: Settled, effect: Effect) -> _LagWeighed:
         (j,) = top.candidate.joints
         whole = _noise(now.engine, j, now.engine.data.kernel.h)
-        return _Weighed(replace(now, held=(int(now.engine.stamps[j]),)), top, effect, j, whole, _left(now.engine, j, whole, top))
+        return _LagWeighed(
+            replace(now, held=(int(now.engine.stamps[j]),)), top, effect, j, whole, _left(now.engine, j, whole, top)
+        )
 
     def scored(self, effect: Effect, lag: float) -> Scored | None:
         """As lags are scored while they are searched."""
