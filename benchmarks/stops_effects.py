@@ -75,6 +75,7 @@ def cases(joints: Sequence[str]) -> dict[str, tuple[Fitted, ...]]:
         "coupling": (one("coupling", pair, c=4.0),),
         "cubic_viscous": (one("cubic_viscous", 1, v_3=-2.5),),
         "delay": (one("delay", 1, d=0.01),),
+        "drive_lag": (one("drive_lag", 1, T=0.01),),
         "elasticity": (Fitted("elasticity", joints[1], {"share": 1.0, "K": 5e3, "D": 5.0}),),
         "encoder_eccentricity": (one("encoder_eccentricity", 1, a=0.015, b=-0.01),),
         "encoder_offset": (one("encoder_offset", 1, e=0.1),),

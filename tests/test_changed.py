@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stopset.artifact import Model
-from stopset.effects import Fitted
+from stopset.effects import Fitted, get
 from stopset.errors import RecordingError
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign
@@ -21,8 +21,10 @@ from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.changes import changes
 from stopset.offline.diagnose.diagnose import SINCE
+from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.examination import examine
-from stopset.offline.diagnose.levels import level_changes
+from stopset.offline.diagnose.levels import ColumnLevel, level_changes
+from stopset.offline.diagnose.levels import _friction as friction_levels
 from stopset.offline.diagnose.page import page
 from stopset.offline.diagnose.question import question
 from stopset.offline.diagnose.remainder import accounts_for
@@ -214,6 +216,20 @@ def test_how_much_friction_there_is_is_known_better_than_its_parts(program: Pair
     assert all(e > p for e, p in zip(wider, parts, strict=True))
 
 
+def test_how_steep_friction_is_at_a_creep_is_no_change_where_it_is_as_large() -> None:
+    """Of an arm that creeps, viscous friction of 6.9 came out as 11.2 N m s/rad: 0.35 of 6 N m at 0.08 rad/s, less than a day's difference."""
+    a, b = ColumnLevel("coulomb", "F_c", "N m", 5.5), ColumnLevel("viscous", "F_v", "N m s/rad", 6.9)
+    v = 0.08 * np.where(np.arange(40) % 2, 1.0, -1.0)
+    free = friction_levels(0, np.stack([np.sign(v), v], axis=1)[:, None], (a, 0.8), (b, 0.9), 0.7)[0]
+    assert [x.effect for x in free.levels] == ["coulomb", "viscous"]
+    most = limit.DAILY * (5.5 + 0.08 * 6.9)
+    assert not free.enough(np.array([0.0, 4.34])) and not free.enough(np.array([0.99 * most, 0.0]))
+    assert free.enough(np.array([0.0, 1.01 * most / 0.08])) and free.enough(np.array([0.9 * most, 0.2 * most / 0.08]))
+    # rows from a later trial on count alone
+    late = free.only(np.arange(40) >= 30)
+    assert late.enough(np.array([1.01 * most, 0.0])) and not late.enough(np.array([0.99 * most, 0.0]))
+
+
 def odd(s: Scenario, drag: float) -> Recordings:
     """Weeks later: a brake that drags, and at its joint what no catalogue has, 0.7 N m."""
     here = np.arange(3) == DRAGGING
@@ -246,6 +262,13 @@ def test_a_level_accounts_for_a_joint_as_a_claim_must(pair: Pair) -> None:
     noisy = replace(left, noisy=(DRAGGING,))
     assert accounts_for(claimed, noisy, DRAGGING, 0.55) and not accounts_for(replace(claimed, claims=()), noisy, DRAGGING, 0.61)
     assert not accounts_for(claimed, noisy, DRAGGING, 0.56)
+    # what a claim took up that is no finding is left as well, where it was more than noise
+    gear = Scored(Candidate(get("elasticity"), (DRAGGING,), {}, np.arange(1), np.ones(1)), 100.0, np.zeros(1), np.zeros((1, 1)))
+    took, little = (Claim(gear, 100.0, (), (1.0, before, 1.0), (1.0, 1.0, 1.0)) for before in (3.0, 0.99 * limit.SENSORS))
+    quiet = replace(left, noisy=(), depends={})
+    for refused, joint, right in [(took, DRAGGING, False), (took, 0, True), (little, DRAGGING, True)]:
+        assert accounts_for(replace(found, claims=(refused,)), quiet, joint, 0.73, [refused]) == right
+    assert accounts_for(replace(found, claims=(took,)), quiet, DRAGGING, 0.5, [took])
 
 
 def test_what_a_changed_level_leaves_is_told_beside_it(pair: Pair) -> None:

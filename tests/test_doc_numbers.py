@@ -121,6 +121,7 @@ FINENESS = (
     ("rows/prepare", "KERNEL LIGHT ROW_STEP WIDER ONE_DIRECTION", "how rows are smoothed and thinned; rounding"),
     ("rows/rows", "DEPENDENT", "rounding"),
     ("search/refine", "FINEST_LAG", "where a search ends"),
+    ("search/lag_form", "FINEST SETTLED", "where a search ends, and a filter's memory"),
     ("search/settled", "PARTS", "how finely the slope of a torque over the position is looked at"),
     (
         "search/moment_arms",

@@ -54,6 +54,7 @@ LAWS = {
     "elastic": {"stiffness": 2000.0, "twist_damping": 5.0},
     "presliding": {"presliding": 2e-3},
     "film": {"film_heat": 0.05, "film_time": 0.5},
+    "slow drive": {"lag": 0.015},
     "spring and bump": {"spring": 4.0, "bump": 3.0, "bump_width": 0.15},
     "drag": {"drag": 2.0, "partner": np.array([1, 2, 3, 4, 5, 0])},
     "outside": {"resonance": 4.0, "resonance_speed": 0.4, "weave": 3.0, "partner": np.array([1, 2, 3, 4, 5, 0])},
@@ -123,6 +124,22 @@ def _fresh(p: SimulatedPlant, q0: Array) -> ArmState:
     state = start(p, q0, np.zeros(N), WARM)
     state.x[:N] = q0
     return state
+
+
+def test_a_slow_drive_gives_what_it_is_told_through_a_lag() -> None:
+    """A joint alone without friction, told a step of torque: its speed against the integral of 1 - exp(-t / T)."""
+    T, told, ticks = 0.02, 4.0, 40
+    p = plant(fc=0.0, fv=0.0, lag=T, rotor=1e9)  # the other joints do not move
+    p.rotor[0] = 2.0
+    p = p._replace(pi=0.0 * p.pi)
+    feedforward = np.zeros((ticks, N))
+    feedforward[2:, 0] = told
+    s = script(ticks, kp=0.0, kd=0.0)._replace(feedforward=feedforward)
+    got = play(p, s, 2, _fresh(p, np.zeros(N)))
+    t = np.maximum(np.arange(ticks) - 2, 0) * PERIOD
+    want = told / 2.0 * (t - T * -np.expm1(-t / T))
+    assert np.abs(got[5][:, 0] - want).max() < 1e-12
+    assert np.array_equal(got[2], feedforward), "what is recorded is what it was told"
 
 
 def test_the_arm_and_the_bare_stop_are_one_physics() -> None:

@@ -16,7 +16,7 @@ from scipy.optimize import linprog
 from core_calls import largest_energy, range_struct
 from stop_sampling import sample_stops, tightness
 from stop_tubes import tube_of
-from stopset.core.library import check, lib, view
+from stopset.core.library import check, ffi, lib, view
 from stopset.reach.stops import StopBounds
 from stopset.reach.stops.expansion import curvature
 from stopset.reach.stops.parts import ALL_PARTS
@@ -230,9 +230,11 @@ def most_power(w: np.ndarray, v: np.ndarray, p: np.ndarray, z: float) -> float:
     return best
 
 
-def after(y: float, w: np.ndarray, v: np.ndarray, p: np.ndarray, h: float) -> float:
-    out = np.empty(1)
-    (excess, _w), (speeds, _v), (momenta, _p) = (range_struct(*x) for x in (w, v, p))
+def after(y: float, w: np.ndarray, v: np.ndarray, p: np.ndarray, h: float, later: np.ndarray | None = None) -> float:
+    """What is left of the energy where ``w`` stays, or goes on a line to ``later``."""
+    out, excess = np.empty(1), ffi.new("StopsetRange[2]")
+    (first, _w), (last, _l), (speeds, _v), (momenta, _p) = (range_struct(*x) for x in (w, w if later is None else later, v, p))
+    excess[0], excess[1] = first[0], last[0]
     check(lib.stopset_energy_after(w.shape[1], y, excess, speeds, momenta, h, view(out)))
     return float(out[0])
 
@@ -255,6 +257,24 @@ def test_what_holds_much_energy_is_braked(seed: int) -> None:
         z = max(0.0, z + 2.0 * h / parts * most_power(w, v, p, z))
     # a joint's two directions are mixed where that allows more: no more than a little above
     assert np.sqrt(z) - 1e-6 <= after(y, w, v, p, h) <= 1.03 * np.sqrt(z) + 0.05
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_brakes_gain_on_a_step_counts(seed: int) -> None:
+    """Brakes that close on the step, against linear programs at every moment of it: the bound is not below them and mostly half as far above as what
+    counts with the brakes of its beginning; with the brakes of its end it would be below."""
+    rng = np.random.default_rng(seed)
+    w, y, h = rng.uniform(-20.0, 20.0, (2, 4)), rng.uniform(4.0, 8.0), 4e-3
+    later = w - rng.uniform(50.0, 150.0, (1, 4))
+    p = np.array([-1.0, 1.0])[:, None] * rng.uniform(2.0, 8.0, (2, 4))
+    v = np.array([rng.uniform(-3.0, 1.0, 4), rng.uniform(1.0, 3.0, 4)])
+    z, parts = y * y, 80
+    for k in range(parts):
+        t = (k + 0.5) / parts
+        z = max(0.0, z + 2.0 * h / parts * most_power((1.0 - t) * w + t * later, v, p, z))
+    found, bound, begin, end = np.sqrt(z), after(y, w, v, p, h, later), after(y, w, v, p, h), after(y, later, v, p, h)
+    assert end < found - 1e-3 and found - 1e-6 <= bound < begin
+    assert bound - found < 0.7 * (begin - found)
 
 
 def test_a_joint_has_one_direction_at_a_time() -> None:

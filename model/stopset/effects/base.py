@@ -20,6 +20,7 @@ from stopset.ring import sign
 Number = Any  # a float, an array, an Interval, a Taylor form or a tape: whatever stopset.ring computes with
 Entry = Literal["compensation", "inertia", "damping", "input_gain", "input_delay", "state"]
 Role = Literal["friction", "torque", "arm or drive", "plant", "reading", "input", "swing", "play"]
+Acting = Literal["", "later", "through a lag"]
 Part = Literal["", "dry friction", "damping", "constant torque", "torque scale", "load"]
 # roles that add a motion which a rigid arm does not have, and why no stop is bounded with them
 LOOSE = {"swing": "it swings in a way that a rigid arm does not have", "play": "its link is loose within a gap"}
@@ -134,6 +135,8 @@ class Effect:
     a part of its joint's dry friction; ``effort``: the kind of recorded torque it is part of, where it is of one alone;
     ``simulated``: what of the simulated arm it is seen in (`stopset.simulation.hidden`);
     ``refines``: plainer laws without shapes that it is a finer form of: one that explains as good as all is named instead;
+    ``acting``: of an effect that enters as a delay, how the torque that acted follows from the recorded one, its first term [s] given:
+    read so much later, or through a lag of first order with that time constant;
     ``loaded``: it is there to carry weight, so it is looked for only where gravity loads the joint.
     """
 
@@ -167,6 +170,7 @@ class Effect:
     effort: str = ""
     simulated: str = ""
     refines: tuple[str, ...] = ()
+    acting: Acting = ""
     loaded: bool = False
 
     def compensated(self, degree: int = 1) -> bool:

@@ -22,7 +22,8 @@ EFFECT = Effect(
     enters="input_delay",
     role="input",
     source="swevers1997",
-    looks_like=("elasticity", "rotor_inertia"),
+    looks_like=("elasticity", "rotor_inertia", "drive_lag"),
     distinguished_by="Excite from 1 to 60 Hz: a delay gives a straight phase line, elasticity a dip and a peak.",
     simulated="late torque",
+    acting="later",
 )

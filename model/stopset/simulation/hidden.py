@@ -183,6 +183,10 @@ def _delay(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> t
     return replace(t, delay=_entry(t.delay, j, size)), {"delay_s": size, "law": "the reported torque lags the true one"}
 
 
+def _lag(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
+    return _plant(t, j, lag=size), {"lag_s": size, "law": "the torque that acts is the reported one through 1 / (lag s + 1)"}
+
+
 def _tilt(t: Truth, r: Robot, j: int, size: float, g: np.random.Generator) -> tuple[Truth, Parameters]:
     azimuth = g.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -311,6 +315,7 @@ SEEN: dict[str, HiddenKind] = {
     "presliding": HiddenKind(_hysteresis, 0.003, 0.06),
     "drive gain": HiddenKind(_gain, 0.05, 0.5, where="loaded"),
     "late torque": HiddenKind(_delay, 0.01, 0.06),
+    "slow drive": HiddenKind(_lag, 0.01, 0.02),
     "tilted base": HiddenKind(_tilt, 0.02, 0.25, scope="arm"),
     "dress pack": HiddenKind(_spring, 1.0, 40.0),
     "cable at its end": HiddenKind(_cable, 0.3, 10.0),

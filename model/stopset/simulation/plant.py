@@ -68,6 +68,7 @@ class SimulatedPlant(NamedTuple):
     cable: Array  # [N m] a cable pack that stretches: torque cable sinh((q - centre) / 0.6 rad)
     cable_centre: Array  # [rad]
     gap: Array  # [rad] backlash of an elastic gear
+    lag: Array  # [s] the drive gives what it is told to through 1 / (lag s + 1)
 
 
 def healthy_plant(robot: Robot, rng: np.random.Generator) -> SimulatedPlant:
@@ -96,7 +97,7 @@ def healthy_plant(robot: Robot, rng: np.random.Generator) -> SimulatedPlant:
         gain=np.ones(n), spring=none, spring_centre=none, drag=none, partner=np.zeros(n, np.int64),
         encoder_offset=none, eccentricity=none, eccentricity_phase=none, bump=none, bump_centre=none, bump_width=far,
         resonance=none, resonance_speed=far, weave=none, film_heat=none, film_time=far,
-        tooth_square=none, counter=none, counter_ratio=none, counter_centre=none, cable=none, cable_centre=none, gap=none,
+        tooth_square=none, counter=none, counter_ratio=none, counter_centre=none, cable=none, cable_centre=none, gap=none, lag=none,
     )  # fmt: skip
 
 
@@ -127,7 +128,7 @@ def torque_limit(robot: Robot) -> Array:
     return np.where(given > 0, given, np.maximum(3.0 * largest_gravity(robot), 5.0))
 
 
-COLUMNS = 43  # joint arrays, in the order of the fields of Plant after `pi`: the core reads them by their place
+COLUMNS = 44  # joint arrays, in the order of the fields of Plant after `pi`: the core reads them by their place
 
 
 def table(plant: SimulatedPlant) -> Array:

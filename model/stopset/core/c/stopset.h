@@ -791,8 +791,8 @@ STOPSET_API int stopset_speed_bounds(const StopsetPlant *plant, const StopsetBox
 STOPSET_API double stopset_largest_energy(const StopsetPlant *plant, const StopsetBox *box);
 /* Largest power per speed w (n,) [N m] that gravity g and u have beyond the brakes B_lo, backward (w_lo) and forward (w_hi). */
 STOPSET_API int stopset_power_excess(int n, const StopsetRange *g, const StopsetRange *u, const double *B_lo, double *w_lo, double *w_hi);
-/* Bound of sqrt(v' M v) after h [s] from y on which no joint has more power per speed than w.lo backward and w.hi forward [N m], with speeds v
- * [rad/s] and momenta p [kg m^2/s], (n,) each. */
+/* Bound of sqrt(v' M v) after h [s] from y on which no joint has more power per speed than w.lo backward and w.hi forward [N m], these lines from
+ * w[0] to w[1], with speeds v [rad/s] and momenta p [kg m^2/s], (n,) each. */
 STOPSET_API int stopset_energy_after(int n, double y, const StopsetRange *w, const StopsetRange *v, const StopsetRange *p, double h, double *out);
 /* A tube cut into stretches of about equal travel: what holds on each, (count, n) [rad, rad/s]; from [near_lo, near_hi] on no more than the
  * travel `left` [rad], as in a tube: these may be 0, not known. */

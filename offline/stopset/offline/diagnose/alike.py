@@ -30,6 +30,13 @@ def alike(engine: Engine, claim: Claim) -> Undecided:
     bend there is no straight one, and evidence tells it from the other bent ones, or they are its rivals.
     """
     c = claim.scored.candidate
+    if claim.alike:
+        joint = engine.data.joints[c.joints[0]]
+        return Undecided(
+            claim.alike,
+            f"within such a lag hardly anything happens to {joint}'s torque that these recordings show over its noise",
+            f"Drive {joint} with torque that changes within a few milliseconds (reversals, steps, up to 60 Hz), recorded at 500 Hz or more.",
+        )
     if len(c.joints) != 1 or tuple(c.effect.needs) != ("q",):
         return Undecided()
     (j,) = c.joints

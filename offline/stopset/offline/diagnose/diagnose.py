@@ -64,9 +64,9 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = verdict_of(found, left)
     if verdict == "missing" and not ranked:
-        refuted = [c for c, r in zip(found.claims, x.ranked, strict=True) if r.objection]
         new = ~engine.as_before
-        verdict = "unknown" if any(np.max(np.array(c.excess_before)[new], initial=0.0) > limit.SENSORS for c in refuted) else "none"
+        before = [np.array(c.excess_before)[new] for c in _refused(x)]
+        verdict = "unknown" if any(np.max(e, initial=0.0) > limit.SENSORS for e in before) else "none"
     loose = tuple(r for r in x.plays.beside([r.label for r in ranked]) if names is None or r.effect in names)
     blind = (
         *blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names),
@@ -106,7 +106,9 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
 
 def _as_ever(x: Examination) -> tuple[str, ...]:
     """What is said of joints that hold more than noise, as they did when the model was identified."""
-    joints = [j for j, same, e in zip(x.engine.data.joints, x.engine.as_before, x.found.excess, strict=True) if same and e > limit.QUIET]
+    joints = [
+        j for j, same, e in zip(x.engine.data.joints, x.engine.as_before, x.found.excess, strict=True) if same and e > limit.QUIET
+    ]
     if not joints:
         return ()
     return (
@@ -146,8 +148,20 @@ def diagnose_model(
     if q.known is None:
         return found, q.against
     progress("what changed since identification")
-    changed = [c for c in changes(model, [r for r in q.recordings if moves(r)]) if get(c.effect).scope != "arm"]
+    beside = _beside_what_is_named(model, found)
+    changed = [c for c in changes(beside, [r for r in q.recordings if moves(r)]) if get(c.effect).scope != "arm"]
     return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
+
+
+def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:
+    """The model with the named effects whose torque the measured state tells: what these explain is no change of a level.
+
+    A cable pack at a joint that gravity loads looks like a torque scale of all joints, as hardly another one carries as much.
+    """
+    known = {f.label for f in model.effects}
+    named = [(r.fitted, get(r.effect)) for r in found.ranked if r.label not in known]
+    telling = tuple(f for f, law in named if law.compensated() and not law.states and "warm" not in law.needs)
+    return replace(model, effects=(*model.effects, *telling)) if telling else model
 
 
 def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -> Diagnosis:
@@ -201,7 +215,12 @@ def _beside(left: Unexplained, changed: Sequence[Change]) -> Unexplained:
 
 def _accounts(x: Examination, c: Change) -> bool:
     share = (c.error_after / max(c.error_before, 1e-12)) ** 2
-    return accounts_for(x.found, x.left, x.engine.data.joints.index(c.at), share)
+    return accounts_for(x.found, x.left, x.engine.data.joints.index(c.at), share, _refused(x))
+
+
+def _refused(x: Examination) -> list[Claim]:
+    """Claims that are no finding."""
+    return [c for c, r in zip(x.found.claims, x.ranked, strict=True) if r.objection]
 
 
 def _leaves_more(x: Examination, c: Change) -> bool:

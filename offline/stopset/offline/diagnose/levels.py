@@ -41,7 +41,7 @@ class LevelChange:
     """A change at a joint (None: of the whole arm): ``columns`` (rows, n, k), what they say, and which of it counts.
 
     ``error, least`` (k,): the model's own error of each coefficient, and the least one that is no daily difference; ``beside``
-    (rows, n, m): what may differ besides.
+    (rows, n, m): what may differ besides; ``amount`` [N m]: the least torque, root mean square over its rows, that all of it makes.
     """
 
     joint: int | None
@@ -51,10 +51,16 @@ class LevelChange:
     error: Array
     least: Array
     friction: bool = False
+    amount: float = 0.0
 
     def only(self, here: NDArray[np.bool_]) -> LevelChange:
         """The same where ``here``, nothing elsewhere."""
         return replace(self, columns=np.where(here[:, None, None], self.columns, 0.0))
+
+    def enough(self, theta: Array) -> bool:
+        """Whether coefficients ``theta`` (k,) make as much torque as a change must."""
+        torque = self.columns @ theta
+        return float(np.linalg.norm(torque)) > self.amount * float(np.sqrt(np.count_nonzero(self.columns.any(axis=2))))
 
     def rows(self, here: NDArray[np.bool_]) -> LevelChange:
         """The same of these rows alone."""
@@ -163,7 +169,8 @@ def _friction(
     """Changes of a joint's friction: of its dry part, of its viscous part, of both by one factor, and of both freely.
 
     ``rubs`` (rows, n, 2): direction and speed.  In the first three the shares of the parts may be off as the model's errors are,
-    at the speeds of these rows: what counts is how much friction there is, which the model knows but for an ``error`` [N m].
+    at the speeds of these rows: what counts is how much friction there is, which the model knows but for an ``error`` [N m].  So it is in
+    the fourth, beside each part: at a creep a viscous number may be half as large again for a few percent of the friction.
     """
     (a, a_error), (b, b_error) = dry, wet
     direction, speed = rubs[:, :, :1], rubs[:, :, 1:]
@@ -172,7 +179,7 @@ def _friction(
     shares = (speed - usual * direction) * max(b_error, limit.DAILY * b.before, 1e-9)  # in the model's own errors
     free = LevelChange(
         joint, rubs, rubs[:, :, :0], (a, b._replace(of=1)), np.array([a_error, b_error]),
-        limit.DAILY * np.array([a.before, b.before]), friction=True,
+        limit.DAILY * np.array([a.before, b.before]), friction=True, amount=limit.DAILY * level,
     )  # fmt: skip
     one = [
         (direction, (a,), 1.0),

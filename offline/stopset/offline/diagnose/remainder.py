@@ -105,13 +105,15 @@ def _good_part(before: float, after: float) -> bool:
     return before > limit.SENSORS and before - after > limit.TELLING * (before - 1.0)
 
 
-def accounts_for(found: Found, left: Left, joint: int, share: float) -> bool:
+def accounts_for(found: Found, left: Left, joint: int, share: float, refused: Sequence[Claim] = ()) -> bool:
     """Whether a change of a level that leaves ``share`` of the torque's variance at a joint accounts for that joint.
 
     Where the search, to which levels are free within their drift, leaves no more than noise, a level is all that can have changed.
-    Where something is left, a level explains a part of anything: it must explain as much as a claim must.
+    Where something is left, a level explains a part of anything: it must explain as much as a claim must.  What a claim took up that was
+    ``refused``, as its numbers are none that it can have, is left, too: the search found more there than levels that drift, and no name.
     """
-    if joint not in left.depends and joint not in left.noisy:
+    unnamed = any(joint in c.joints and c.excess_before[joint] > limit.SENSORS for c in refused)
+    if joint not in left.depends and joint not in left.noisy and not unnamed:
         return True
     before = found.claims[0].excess_before[joint] if found.claims else found.excess[joint]
     return _good_part(before, before * share)

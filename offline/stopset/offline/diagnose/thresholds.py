@@ -24,6 +24,7 @@ CONTENDERS = 4
 HANDFUL = 5
 SHORTEST_LAG = 0.004  # [s]
 LAG_PRICE = 2 * log(40.0)
+NOISE_KNOWN = 0.10  # of the torque noise's variance
 SWING_PRICE = 2 * log(1000.0)
 BUILT_UP = 2.0  # friction torques
 FAR_OVER_NOISE = 2.0  # variance over the sensors' noise
@@ -176,6 +177,8 @@ SETTLED = (
               "stamps half a sample apart look like a lag (1 to 3 ms on the two healthy sets looked at, with a score up to 1072): "
               "no effect"),
     Threshold("LAG_PRICE", "price of a lag, paid by contenders and claims alike", "", "half a millisecond found among 20"),
+    Threshold("NOISE_KNOWN", "error of the torque noise's variance; a part of it a drive's lag takes off, which is counted against that", "%",
+              "healthy joints leave 0.92 to 1.10 times their sensors' noise"),
     Threshold("SWING_PRICE", "the same of an elastic gear, and of levers where a gas spring must stand apart from a plainer one", "",
               "stiffness found to 1 %, damping to a tenth; a place and levers alike"),
     Threshold("BUILT_UP", "friction torques of the first fit, at the joint's usual speed, that hysteresis may build up", "",

@@ -39,7 +39,7 @@ from stopset.offline.diagnose.columns import elasticity
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
-from stopset.offline.diagnose.search import moment_arms, refine, ripple, settled, wanted
+from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, settled, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
@@ -176,6 +176,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis evidence", evidence, "RIDGES REPEATED"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
+    ("diagnosis lag", lag_form, "FINEST SETTLED"),
     ("diagnosis settlement", settled, "PARTS"),
     ("diagnosis settlement", moment_arms, "SEARCHES ALONG CLIMB FALLS"),
     ("diagnosis wanted", wanted, "LAGS"),

@@ -62,3 +62,9 @@ def lag(decay: float, x: Array) -> Array:
     y = given(x).copy()
     _run(np.array([[1.0, 0.0, 0.0, 1.0, -decay, 0.0]]), np.zeros((1, 2, y.shape[1])), y)
     return y
+
+
+def first_order(x: Array, time: float) -> Array:
+    """``x`` (N, columns) through 1 / (``time`` s + 1), ``time`` in samples, begun at rest: bilinear, so without a hold's half sample."""
+    mean = 0.5 * (x + np.concatenate([x[:1], x[:-1]])) - x[:1]
+    return np.asarray(x[:1] + lag((time - 0.5) / (time + 0.5), mean / (time + 0.5)))

@@ -71,7 +71,7 @@ def left_open(robot: Robot, nominal: Nominal, sample: Sequence[Recording]) -> Ar
     motions than these show it, and it is no change of the arm.  Columns whose torque is `FELT` at states as they were recorded, recombined.
     """
     q, dq, ddq = recombined(sample)
-    layout, n = nominal.data.layout, robot.n
+    n = robot.n
     friction = [[_place(nominal, j, name) for j in range(n)] for name in base()]
     at = np.concatenate([np.arange(11 * n), *friction]).astype(np.intp)
     covariance = nominal.covariance[np.ix_(at, at)]
@@ -81,7 +81,9 @@ def left_open(robot: Robot, nominal: Nominal, sample: Sequence[Recording]) -> Ar
     Y = regressors(robot.chain, q, dq, ddq)
     felt = np.zeros((F.shape[1], F.shape[1]))
     for j in range(n):
-        torque = Y[:, j] @ F[: 10 * n] + ddq[:, [j]] * F[10 * n + j] + np.sign(dq[:, [j]]) * F[11 * n + j] + dq[:, [j]] * F[12 * n + j]
+        torque = (
+            Y[:, j] @ F[: 10 * n] + ddq[:, [j]] * F[10 * n + j] + np.sign(dq[:, [j]]) * F[11 * n + j] + dq[:, [j]] * F[12 * n + j]
+        )
         felt += torque.T @ torque / (len(q) * max(float(nominal.rms[j]), 1e-9) ** 2)
     share, turn = np.linalg.eigh(felt)
     F = (F @ turn)[:, share > FELT**2]

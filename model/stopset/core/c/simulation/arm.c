@@ -15,7 +15,7 @@ enum {
     ROTOR, FC, FV, LIMIT, BRAKE_TORQUE, BRAKE_DELAY, BRAKE_RISE, FV_SLOPE, FC_SLOPE, BREAKAWAY, STRIBECK_SPEED, TOOTH, SKEW, THINNING_SPEED,
     RIPPLE, RIPPLE_ORDER, RIPPLE_PHASE, STIFFNESS, TWIST_DAMPING, PRESLIDING, GAIN, SPRING, SPRING_CENTRE, DRAG, PARTNER, ENCODER_OFFSET,
     ECCENTRICITY, ECCENTRICITY_PHASE, BUMP, BUMP_CENTRE, BUMP_WIDTH, RESONANCE, RESONANCE_SPEED, WEAVE, FILM_HEAT, FILM_TIME,
-    TOOTH_SQUARE, COUNTER, COUNTER_RATIO, COUNTER_CENTRE, CABLE, CABLE_CENTRE, GAP, COLUMNS
+    TOOTH_SQUARE, COUNTER, COUNTER_RATIO, COUNTER_CENTRE, CABLE, CABLE_CENTRE, GAP, LAG, COLUMNS
 };
 enum { ELEMENTS = 4 };
 static const double SHARES[ELEMENTS] = {0.4, 0.3, 0.2, 0.1}, REACH[ELEMENTS] = {0.4, 1.0, 2.0, 4.0};
@@ -240,11 +240,26 @@ static void control(const StopsetSimArm *a, const StopsetSimScript *s, int64_t k
     }
 }
 
+/* The torque (n,) that acts in a step of length h under the command `tau`: its mean where a drive follows as 1 / (LAG s + 1).
+ *
+ * `state` (n,): what each drive gives at the step's beginning, afterwards at its end. */
+static void followed(const StopsetSimArm *a, const double *tau, double h, double *state, double *acting) {
+    for (int i = 0; i < a->arm.n; i++) {
+        const double lag = a->table[i * COLUMNS + LAG];
+        acting[i] = tau[i];
+        if (lag > 0.0) {
+            const double left = stopset_exp(-h / lag), off = state[i] - tau[i];
+            acting[i] += off * (1.0 - left) * lag / h;
+            state[i] = tau[i] + off * left;
+        }
+    }
+}
+
 int stopset_sim_run(const StopsetSimArm *a, const StopsetSimScript *s, const StopsetSimHeat *heat, double *logs) {
     const int n = a->arm.n;
     const int64_t size = s->ticks * n;
     double *const log[6] = {logs, logs + size, logs + 2 * size, logs + 3 * size, logs + 4 * size, logs + 5 * size};
-    double cold[2 * SIM_JOINTS], torque[SIM_JOINTS] = {0};
+    double cold[2 * SIM_JOINTS], torque[SIM_JOINTS] = {0}, given[SIM_JOINTS], acting[SIM_JOINTS];
     Work c;
     if (n < 1 || n > SIM_JOINTS || a->states < n || a->states > 2 * n) return STOPSET_TOO_MANY_JOINTS;
     memset(&c, 0, sizeof c);
@@ -254,7 +269,11 @@ int stopset_sim_run(const StopsetSimArm *a, const StopsetSimScript *s, const Sto
     for (int64_t k = 0; k < s->ticks; k++) {
         control(a, s, k, cold, torque, log);
         const double since = k >= s->brake_at ? (double)(k - s->brake_at) * s->period : BRAKES_OPEN;
-        for (int64_t step = 0; step < s->steps_per_tick; step++) advance(a, &c, torque, s->walk + k * n, since + (double)step * h, h);
+        if (k == 0 || k == s->cut_at) memcpy(given, torque, (size_t)n * sizeof *given); /* no power, no torque */
+        for (int64_t step = 0; step < s->steps_per_tick; step++) {
+            followed(a, torque, h, given, acting);
+            advance(a, &c, acting, s->walk + k * n, since + (double)step * h, h);
+        }
         for (int i = 0; i < n; i++) {
             const double *T = a->table + i * COLUMNS, v = absolute(a->v[a->motor[i]]), power = v * (T[FC] + T[FV] * v);
             a->temp[i] += s->period * (heat->heating[i] * power - heat->cooling * (a->temp[i] - heat->ambient));

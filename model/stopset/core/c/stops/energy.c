@@ -273,12 +273,14 @@ static double power(const Shares *x, double z) {
     return out + 1e-12 * scale; /* for rounding */
 }
 
-/* y after a step from y on which the speeds lie in v and the momenta in p: the energy balance, Lemma 8 of docs/stops.md. */
-double stops_by_power(int n, double y, const Span *w, const Span *v, const Span *p, double h) {
+/* y after a step from y on which the speeds lie in v and the momenta in p, the excess of power between a line from w[0] to w[1]: the energy
+ * balance, Lemma 8 of docs/stops.md. */
+double stops_by_power(int n, double y, const Span w[2], const Span *v, const Span *p, double h) {
     const double z = y * y;
-    Shares x = {.n = n};
-    for (int i = 0; i < n; i++) x.count[i] = corners(w->lo[i], w->hi[i], p->lo[i], p->hi[i], v->lo[i], v->hi[i], x.of[i]);
-    const double low = least(most(z + 2.0 * h * power(&x, z), 0.0), z), rate = power(&x, low);
+    Shares x[2] = {{.n = n}, {.n = n}};
+    for (int k = 0; k < 2; k++)
+        for (int i = 0; i < n; i++) x[k].count[i] = corners(w[k].lo[i], w[k].hi[i], p->lo[i], p->hi[i], v->lo[i], v->hi[i], x[k].of[i]);
+    const double first = 0.5 * (power(x, z) + power(x + 1, z)), low = least(most(z + 2.0 * h * first, 0.0), z), rate = 0.5 * (power(x, low) + power(x + 1, low));
     return sqrt(most(most(z + 2.0 * h * rate, low + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
 }
 
@@ -315,12 +317,12 @@ double stopset_largest_energy(const StopsetPlant *plant, const StopsetBox *box) 
 }
 
 int stopset_energy_after(int n, double y, const StopsetRange *w, const StopsetRange *v, const StopsetRange *p, double h, double *out) {
-    Span excess, speeds, momenta;
+    Span excess[2], speeds, momenta;
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    stops_span(n, w->lo, w->hi, &excess);
+    for (int k = 0; k < 2; k++) stops_span(n, w[k].lo, w[k].hi, excess + k);
     stops_span(n, v->lo, v->hi, &speeds);
     stops_span(n, p->lo, p->hi, &momenta);
-    *out = stops_by_power(n, y, &excess, &speeds, &momenta, h);
+    *out = stops_by_power(n, y, excess, &speeds, &momenta, h);
     return STOPSET_OK;
 }
 

@@ -156,7 +156,7 @@ void stops_carry_on(const Near *near, Momentum *m, const Step *s, const Bands *b
         if (!before->alive[i]) continue;
         const double slow = least(least(size_of(before->first_lo[i]), size_of(before->first_hi[i])),
                                   least(size_of(after->first_lo[i]), size_of(after->first_hi[i])));
-        const double few = s->B_lo[i] + p->viscous_lo[i] * slow, many = s->B_hi[i] + p->viscous_hi[i] * fastest(i, before, after);
+        const double few = s->less[i] + p->viscous_lo[i] * slow, many = s->more[i] + p->viscous_hi[i] * fastest(i, before, after);
         m->drive[i] += h * driven(p, i, at, before, after);
         m->needed[i] = least(m->needed[i], retained[i]);
         m->P_lo[i] += h * (after->sign[i] > 0.0 ? at->e_lo[i] + p->u_lo[i] - many : at->e_lo[i] + p->u_lo[i] + few);

@@ -340,11 +340,21 @@ STOPSET_WIDE static Bow bow(const Near *near, const Inverse *inverse, const Span
     return SIZED(bow_of, near->E.n, near, inverse, w, p, loose, i);
 }
 
-/* How fast momenta can grow (any) and how fast while the joint moves forward (on), and the same downward, speeds within w. */
-static void rates(const Near *near, const Inverse *inverse, const Step *s, const Span *w, const Span *momenta, Span *any, Span *on) {
+/* What is so on a step: how fast momenta can grow at any time of it (fastest), in its mean (any) and in its mean while the joint moves forward (on), and
+ * the same downward; the momenta, and the inverse inertia, if there is one. */
+typedef struct {
+    Span fastest, any, on, momenta;
+    const Inverse *inverse;
+    Inverse room;
+} Pulls;
+
+/* Rates with speeds in w and momenta as they are told. */
+static void rates(const Near *near, const Inverse *inverse, const Step *s, const Span *w, Pulls *out) {
     const StopsetPlant *p = near->plant;
     const Local *at = &near->at;
     const double share = near->parts->christoffel;
+    const Span *momenta = &out->momenta;
+    Span *fastest = &out->fastest, *any = &out->any, *on = &out->on;
     double loose[SN];
     if (inverse) looseness(near, inverse, w, momenta, loose);
     for (int i = 0; i < at->n; i++) {
@@ -354,37 +364,34 @@ static void rates(const Near *near, const Inverse *inverse, const Step *s, const
             up = least(up, share * bent.hi - at->g_lo[i] + p->u_hi[i]);
             down = most(down, share * bent.lo - at->g_hi[i] + p->u_lo[i]);
         }
-        on->hi[i] = up - s->B_lo[i] - p->viscous_lo[i] * most(w->lo[i], 0.0);
-        on->lo[i] = down + s->B_lo[i] + p->viscous_lo[i] * most(-w->hi[i], 0.0);
-        any->hi[i] = w->lo[i] > 0.0 ? on->hi[i] : up + s->B_hi[i] + p->viscous_hi[i] * most(-w->lo[i], 0.0);
-        any->lo[i] = w->hi[i] < 0.0 ? on->lo[i] : down - s->B_hi[i] - p->viscous_hi[i] * most(w->hi[i], 0.0);
+        const double slow = p->viscous_lo[i] * most(w->lo[i], 0.0), slow_back = p->viscous_lo[i] * most(-w->hi[i], 0.0);
+        const double fast = p->viscous_hi[i] * most(w->hi[i], 0.0), fast_back = p->viscous_hi[i] * most(-w->lo[i], 0.0);
+        on->hi[i] = up - s->less[i] - slow;
+        on->lo[i] = down + s->less[i] + slow_back;
+        any->hi[i] = w->lo[i] > 0.0 ? on->hi[i] : up + s->more[i] + fast_back;
+        any->lo[i] = w->hi[i] < 0.0 ? on->lo[i] : down - s->more[i] - fast;
+        fastest->hi[i] = w->lo[i] > 0.0 ? up - s->B_lo[i] - slow : up + s->B_hi[i] + fast_back;
+        fastest->lo[i] = w->hi[i] < 0.0 ? down + s->B_lo[i] + slow_back : down - s->B_hi[i] - fast;
     }
 }
 
 /* Momenta on a step of h seconds, from p. */
-static void during(int n, const Span *p, const Span *any, double h, Span *out) {
+static void during(int n, const Span *p, double h, Pulls *out) {
     for (int i = 0; i < n; i++) {
-        out->lo[i] = p->lo[i] + h * least(any->lo[i], 0.0) * stopset_energy_rounding;
-        out->hi[i] = p->hi[i] + h * most(any->hi[i], 0.0) * stopset_energy_rounding;
+        out->momenta.lo[i] = p->lo[i] + h * least(out->fastest.lo[i], 0.0) * stopset_energy_rounding;
+        out->momenta.hi[i] = p->hi[i] + h * most(out->fastest.hi[i], 0.0) * stopset_energy_rounding;
     }
 }
-
-/* What is so on a step: how fast momenta grow (any; on: in the joint's own direction), the momenta, and the inverse inertia, if there is one. */
-typedef struct {
-    Span any, on, momenta;
-    const Inverse *inverse;
-    Inverse room;
-} Pulls;
 
 /* On a step with speeds in w, from momenta p. */
 static void pulls_on(const Near *near, const Step *s, const Span *w, const Span *p, Pulls *out) {
     const int n = near->E.n;
     const Inverse *inverse = out->inverse = invert(near, &out->room) ? &out->room : 0;
-    rates(near, 0, s, w, p, &out->any, &out->on);
-    during(n, p, &out->any, s->h, &out->momenta);
+    rates(near, 0, s, w, out);
+    during(n, p, s->h, out);
     if (inverse) {
-        rates(near, inverse, s, w, &out->momenta, &out->any, &out->on);
-        during(n, p, &out->any, s->h, &out->momenta);
+        rates(near, inverse, s, w, out);
+        during(n, p, s->h, out);
     }
 }
 
@@ -475,7 +482,7 @@ void stops_pull_on(const Near *near, const Step *s, const Span *w, Span *p, Span
         const double pull_hi = pulled ? rest->hi[i] + push : -STOPS_INF, pull_lo = pulled ? rest->lo[i] + back : STOPS_INF;
         const double forward = w->hi[i] < 0.0 ? rest->hi[i] : most(p->hi[i] + h * on->hi[i], pull_hi);
         const double backward = w->lo[i] > 0.0 ? rest->lo[i] : least(p->lo[i] + h * on->lo[i], pull_lo);
-        const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(any->lo[i], any->hi[i]));
+        const double slack = 1e-12 * (largest(p->lo[i], p->hi[i]) + h * largest(found.fastest.lo[i], found.fastest.hi[i]));
         step->lo[i] = most(step->lo[i], found.momenta.lo[i] - slack);
         step->hi[i] = least(step->hi[i], found.momenta.hi[i] + slack);
         p->hi[i] = least(hi, w->lo[i] > 0.0 ? hi : forward) + slack;

@@ -67,9 +67,10 @@ typedef struct {
     Span g;
 } Energy;
 
-/* A step of h seconds: torques without dry friction, dry friction, and which signs are possible on it. */
+/* A step of h seconds: torques without dry friction, dry friction, and which signs are possible on it. Dry friction is no less than B_lo and no more than B_hi
+ * throughout, in the mean no less than `less` and no more than `more`, and no less than the line from B_lo to `last`. */
 typedef struct {
-    double h, s_lo[SN], s_hi[SN], own_up[SN], own_down[SN], B_lo[SN], B_hi[SN], B_later[SN], direction[SN], a_far[SN];
+    double h, s_lo[SN], s_hi[SN], own_up[SN], own_down[SN], B_lo[SN], B_hi[SN], B_later[SN], less[SN], more[SN], last[SN], direction[SN], a_far[SN];
     int plus[SN], minus[SN], zero[SN];
 } Step;
 
@@ -136,7 +137,7 @@ double stops_largest(const Local *at, const double *v_lo, const double *v_hi);
 void stops_power_excess(int n, const Span *g, const StopsetRange *u, const double *B_lo, Span *w);
 int stops_step_energy(Near *near, Energy *e, const Span *x, const Step *s);
 int stops_travel_left(Near *near, const Energy *e, const Span *x, const double *B_lo, Span *travel);
-double stops_by_power(int n, double y, const Span *w, const Span *v, const Span *p, double h);
+double stops_by_power(int n, double y, const Span w[2], const Span *v, const Span *p, double h);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *const line[4], int alone); /* line: v_lo, v_hi, e_lo, e_hi */
 void stops_start_pulls(const Local *at, const Span *v, Span *p);

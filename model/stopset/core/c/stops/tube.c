@@ -44,6 +44,12 @@ static double ramp(double t, double delay, double rise) {
     return (t - delay) / rise;
 }
 
+/* Integral of `ramp` up to t [s]. */
+static double ramped(double t, double delay, double rise) {
+    const double since = most(t - delay, 0.0);
+    return since < rise ? 0.5 * since * since / rise : since - 0.5 * rise;
+}
+
 static int is_finite(double x) { return x - x == 0.0; }
 
 /* Claims for step k: the last step's rates, carried on as they changed, and a little more. */
@@ -165,7 +171,9 @@ static void later_friction(March *m, double now) {
             const double worked = most(0.5 * since, since - 0.5 * p->rise_lo[i]); /* a ramp has given half of its torque times the time */
             s->B_later[i] = least(most(s->B_lo[i], p->coulomb_lo[i] + m->need[i] / worked), s->B_hi[i]);
         }
-        if (!m->b.alive[i]) s->B_lo[i] = s->B_later[i];
+        if (m->b.alive[i] || s->B_later[i] <= s->B_lo[i]) continue;
+        s->B_lo[i] = s->last[i] = s->B_later[i];
+        s->less[i] = most(s->less[i], s->B_later[i]);
     }
 }
 
@@ -294,6 +302,22 @@ static void displace(const March *m, int64_t k) {
     }
 }
 
+/* What dry friction is on the step from `now` in the mean, and a line below the least of it: a ramp that has begun bends downward alone. Lemma 12 of
+ * docs/stops.md. */
+static void brakes_in_mean(March *m, double now) {
+    const StopsetPlant *p = m->near.plant;
+    Step *s = &m->s;
+    const double end = now + s->h, hair = 1e-12; /* for rounding */
+    for (int i = 0; i < m->n; i++) {
+        const double few = (ramped(end, p->delay_hi[i], p->rise_hi[i]) - ramped(now, p->delay_hi[i], p->rise_hi[i])) / s->h;
+        const double many = (ramped(end, p->delay_lo[i], p->rise_lo[i]) - ramped(now, p->delay_lo[i], p->rise_lo[i])) / s->h;
+        s->less[i] = most(s->B_lo[i], p->coulomb_lo[i] + p->brake_lo[i] * (few - hair));
+        s->more[i] = least(s->B_hi[i], p->coulomb_hi[i] + p->brake_hi[i] * (many + hair));
+        s->last[i] = s->B_lo[i];
+        if (now >= p->delay_hi[i]) s->last[i] = most(s->B_lo[i], p->coulomb_lo[i] + p->brake_lo[i] * ramp(end, p->delay_hi[i], p->rise_hi[i]));
+    }
+}
+
 /* Friction of the step, the expansion where it has moved too far, and the energy's caps; 0 if these cannot be verified. */
 static int prepare(March *m, int64_t k, double now, const double *middle, const double *gravity) {
     const StopsetPlant *p = m->near.plant;
@@ -314,6 +338,7 @@ static int prepare(March *m, int64_t k, double now, const double *middle, const 
         m->s.B_lo[i] = p->coulomb_lo[i] + p->brake_lo[i] * ramp(early, p->delay_hi[i], p->rise_hi[i]);
         m->s.B_hi[i] = p->coulomb_hi[i] + p->brake_hi[i] * ramp(late, p->delay_lo[i], p->rise_lo[i]);
     }
+    brakes_in_mean(m, now);
     if (!m->energetic) return 1;
     for (int i = 0; i < n; i++) {
         m->x.lo[i] = m->q.lo[i] + t->d_lo[k * n + i] - m->near.E.q[i];
@@ -390,10 +415,11 @@ static void settle(March *m, int64_t k, double y, int verified) {
     memcpy(v_hi, m->tube->e_hi + k * n, (size_t)n * sizeof *v_hi);
     if (m->energetic) {
         const StopsetRange u = {m->near.plant->u_lo, m->near.plant->u_hi};
-        Span excess, momenta, end;
-        stops_power_excess(n, &m->energy.g, &u, m->s.B_lo, &excess);
+        Span excess[2], momenta, end;
+        stops_power_excess(n, &m->energy.g, &u, m->s.B_lo, excess);
+        stops_power_excess(n, &m->energy.g, &u, m->s.last, excess + 1);
         follow_momenta(m, most(y, m->energy.y), &m->v, &momenta);
-        m->energy.y = least(m->energy.y, stops_by_power(n, y, &excess, &m->v, &momenta, m->s.h));
+        m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, &m->v, &momenta, m->s.h));
         for (int i = 0; i < n; i++) {
             end.lo[i] = -m->energy.end[i];
             end.hi[i] = m->energy.end[i];

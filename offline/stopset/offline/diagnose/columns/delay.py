@@ -1,4 +1,4 @@
-"""The column of a delay: what a joint's torque record, taken later or earlier, has more of.
+"""The column of a delay: what a joint's torque record, taken later or earlier or through a drive's lag, has more of.
 
 The record itself is shifted, not a model of it.  It holds whatever the joint's torque was, friction at rest too, so at the
 true lag the rows are just those of a record that was never late.  Its noise is shifted with it: as large as before, but
@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from stopset.effects import Effect
 from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.types import Array
 
 
-def lagged(source: ArmSignals, joint: int, lag: float) -> Array:
-    """(N, 1) change of the recorded torque by taking it ``lag`` [s] later, per second of lag: the law's ``-dtau``."""
+def lagged(source: ArmSignals, effect: Effect, joint: int, lag: float) -> Array:
+    """(N, 1) change of the recorded torque by taking what acted for it, per second of ``lag``: the law's ``-dtau`` or ``dtau``."""
     d = source.data
-    out: Array = -np.asarray(d.torque_at(joint, lag) - d.tau[:, joint])[:, None] / lag
+    acted = d.torque_through(joint, lag) if effect.acting == "through a lag" else d.torque_at(joint, lag)
+    out: Array = -np.asarray(acted - d.tau[:, joint])[:, None] / lag
     return out

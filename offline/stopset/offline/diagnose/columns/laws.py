@@ -28,7 +28,7 @@ def columns(
         j = joints[0]
         return {i: (source.stiff(j, still=False)[:, i, None], source.stiff(j, still=True)[:, i, None]) for i in range(d.n)}
     if effect.enters == "input_delay" and shapes.get("d0"):
-        return {joints[0]: (lagged(source, joints[0], shapes["d0"]), np.zeros((len(d.q_still), 1)))}
+        return {joints[0]: (lagged(source, effect, joints[0], shapes["d0"]), np.zeros((len(d.q_still), 1)))}
     out = {}
     rows = range(d.n) if effect.scope == "arm" else joints
     for i in rows:

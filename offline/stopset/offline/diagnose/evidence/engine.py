@@ -237,7 +237,6 @@ class Engine:
         self._made.clear()
         self._columns.clear()
 
-
     def body(self, theta: Array) -> Array:
         """(10 n,) how far a fit has the links off what was known of them; ``theta``: of `Hypothesis.nuisance`."""
         n = self.data.n

@@ -16,6 +16,7 @@ from stopset.errors import RecordingError
 from stopset.offline.campaign.session import Session
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.rows.sampling import Sampled, in_words, period_of, sampled
+from stopset.offline.nominal.filters import first_order
 from stopset.offline.nominal.stamps import step_of, white
 from stopset.recording import Recording, Recordings, SuiteKey
 from stopset.recording.types import TrialKey
@@ -139,6 +140,12 @@ class Prepared:
             padded = np.concatenate([np.full(reach, x[0]), x, np.full(reach, x[-1])])
             out[trial.rows] = _at(padded, self.centre[trial.rows] - trial.fine.start + reach + whole, h)
         return out
+
+    def torque_through(self, joint: int, time: float) -> Array:
+        """(N,) recorded torque of a joint through 1 / (``time`` s + 1), each trial begun at rest."""
+        x = self.tau_fine[:, joint]
+        acted = np.concatenate([first_order(x[trial.fine, None], time / self.kernel.dt)[:, 0] for trial in self.trials])
+        return self.thin(acted)
 
 
 def _at(x: Array, centre: Index, h: Array) -> Array:

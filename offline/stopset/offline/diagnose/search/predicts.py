@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
+from stopset.offline.diagnose.evidence.scores import scores
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.types import Array
 
@@ -87,8 +88,26 @@ def outdone(s: Scored, asked: Sequence[Scored], refused: Set[EffectKey]) -> bool
     other, which explains less of the same torque.
     """
     c = s.candidate
-    same = (x for x in asked if x.candidate.key in refused and x.candidate.joints == c.joints)
-    return bool(c.joints and c.effect.absorbed) and any(x.score > s.score + limit.THRESHOLD for x in same)
+    same = (x for x in _far_likelier(s, asked, refused) if x.candidate.joints == c.joints)
+    return bool(c.joints and c.effect.absorbed) and any(same)
+
+
+def outdone_at_a_joint(now: Hypothesis, s: Scored, asked: Sequence[Scored], refused: Set[EffectKey], hyper: Hyper) -> bool:
+    """`outdone` of a claim of the whole arm: whether beside such a law of one joint nothing of it is left.
+
+    A load or a tilted base loads every joint.  One that says nothing but a part of what a law of one joint would is another name of that
+    joint's torque.
+    """
+    c = s.candidate
+    if c.joints or not c.effect.absorbed:
+        return False
+    local = (x for x in _far_likelier(s, asked, refused) if len(x.candidate.joints) == 1)
+    return any(scores(now.plus(x.candidate), [c], hyper)[0].score < limit.THRESHOLD for x in local)
+
+
+def _far_likelier(s: Scored, asked: Sequence[Scored], refused: Set[EffectKey]) -> Iterator[Scored]:
+    """Of all that were ``asked`` those that were ``refused`` and say more than ``s`` by a claim's evidence."""
+    return (x for x in asked if x.candidate.key in refused and x.score > s.score + limit.THRESHOLD)
 
 
 def _lowered(x: Step) -> tuple[int, float]:

@@ -9,13 +9,14 @@ import numpy as np
 
 from stopset.effects import catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import EffectKey, Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
-from stopset.offline.diagnose.search.predicts import judged, outdone
+from stopset.offline.diagnose.search.lag_form import formed
+from stopset.offline.diagnose.search.predicts import judged, outdone, outdone_at_a_joint
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.search.settle import instead, other_gears, said_already, settle
@@ -34,6 +35,7 @@ class Claim:
     rivals: tuple[Scored, ...]
     excess_before: tuple[float, ...]  # residual variance over sensor noise per joint, before the claim
     excess_after: tuple[float, ...]
+    alike: tuple[str, ...] = ()  # effects that the rows do not tell from it at its joint
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -70,11 +72,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     first = before = held_out(now, hyper)
     refused = set[EffectKey]()
     for _ in range(limit.MAX_CLAIMS):
-        found = engine.add_all(ripples.strongest(now, p.theta, hyper)) if ripples else []
-        charge = 2 * np.log(len(RIPPLES))
-        pool = [*candidates, *(replace(c, charge=charge) for c in found)]
-        fit = [c for c in pool if "exact" not in c.shapes or hyper.kappa[c.joints[0]] > limit.FAR_OVER_NOISE]
-        left = scores(now, fit, hyper)
+        left = scores(now, _asked_now(candidates, ripples, now, p.theta, hyper), hyper)
         # a law whose numbers came out beyond what they can be is no finding, and says nothing that another form would
         beyond = {k.scored.candidate.key for k in _as_fitted(now, claims, p.theta) if not k.scored.admissible}
         sound = tuple(c for c in now.active if c.key not in beyond)
@@ -98,11 +96,16 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
-        if judged(earlier, candidate, before, error, hyper, claimed).why or outdone(top.scored, left, refused):
+        otherwise = outdone(top.scored, left, refused) or outdone_at_a_joint(earlier, top.scored, left, refused, hyper)
+        if otherwise or judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
             refused.add(top.scored.candidate.key)
             continue
+        lag = formed(earlier, top, names)
+        if lag.settled is not top:
+            top = lag.settled
+            now, hyper, p, candidate, error = top.now, top.hyper, top.fit, top.candidate, held_out(top.now, top.hyper)
         if candidate.effect.role != "swing" and any(c.effect.role == "swing" for c in earlier.active):
             now, hyper, p = _with_swings(now, hyper, p)
             error = held_out(now, hyper)
@@ -111,7 +114,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         replaced = next((k for k in claims if plainer is not None and k.scored.candidate.key == plainer.key), None)
         since = excess if replaced is None else replaced.excess_before
         claims = [k for k in claims if k is not replaced]
-        claims.append(Claim(top.scored, top.scored.score, rivals, since, after))
+        claims.append(Claim(top.scored, top.scored.score, rivals, since, after, lag.alike))
         where = "+".join(engine.data.joints[j] for j in candidate.joints) or "the whole arm"
         progress(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
@@ -121,6 +124,16 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         now, retained[k] = _settled_again(now, claim, hyper, refused)
     hyper, p = now.fit(hyper)
     return Found(tuple(_as_fitted(now, retained, p.theta)), tuple(left), now, hyper, now.excesses(p.theta, hyper), first)
+
+
+def _asked_now(
+    candidates: Sequence[Candidate], ripples: Ripples | None, now: Hypothesis, theta: Array, hyper: Hyper
+) -> list[Candidate]:
+    """The ``candidates`` and the strongest ripples; exact swings only where far more than noise is left, ``theta``: of ``now``."""
+    found = now.engine.add_all(ripples.strongest(now, theta, hyper)) if ripples else []
+    charge = 2 * np.log(len(RIPPLES))
+    pool = [*candidates, *(replace(c, charge=charge) for c in found)]
+    return [c for c in pool if "exact" not in c.shapes or hyper.kappa[c.joints[0]] > limit.FAR_OVER_NOISE]
 
 
 def _with_swings(now: Hypothesis, hyper: Hyper, p: Projection) -> tuple[Hypothesis, Hyper, Projection]:

@@ -22,8 +22,8 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
     n = engine.data.n
     out: list[Wanted] = []
     for effect in catalogue().values():
-        if (names is not None and effect.name not in names) or effect.periodic or not askable(engine, effect):
-            continue
+        if not asked(effect, names) or effect.periodic or effect.acting == "through a lag" or not askable(engine, effect):
+            continue  # a drive's lag is looked for as a delay, and told from it afterwards: see `formed`
         places: list[tuple[int, ...]] = [(j,) for j in range(n) if engine.rows[j].size > limit.FEWEST_ROWS]
         if effect.scope == "arm":
             places = [()]
@@ -44,6 +44,13 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
                 if effect.role != "swing" or _swings(engine, place[0], shapes["K"]):
                     out.append((effect, place, shapes))
     return out
+
+
+def asked(effect: Effect, names: Sequence[str] | None) -> bool:
+    """Whether an effect is looked for where only these ``names`` are; a lag's plainer form is, on the way to its finer one."""
+    if names is None or effect.name in names:
+        return True
+    return any(effect.name in e.refines and e.acting for e in catalogue().values() if e.name in names)
 
 
 def askable(engine: Engine, effect: Effect) -> bool:
