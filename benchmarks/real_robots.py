@@ -14,6 +14,9 @@ before it was recorded, stopset's model passes that filter; least squares is giv
 nothing to regress), even repetitions are fitted, odd ones judge, and the error is that of the position simulated from each trial's start
 for 5 s, root of the mean square over the joints.  Coverage: how many blocks of 2.5 s of what was
 not fitted leave the identified sets.
+
+What `diagnose` names of the fitted part is added by `stopset add`, one after another: the error on what was not fitted, before and after
+each, at its joints and of the whole arm, says what the name is worth.
 """
 
 from __future__ import annotations
@@ -175,8 +178,12 @@ def judge(folder: Path, work: Path) -> dict[str, Any]:
     if cutoff := filtered_at(load_model(model)):
         out["filtered at"] = cutoff
         out["least squares, filtered"] = least_squares(robot, fit, test, more=True, cutoff=cutoff).round(3).tolist()
-    out |= compared(model, paths["test"], work)[0] | {"tightness": median(text)}
-    return out | diagnosed(model, paths["fit"], work)
+    out |= compared(model, paths["test"], work)[0] | {"tightness": median(text)} | diagnosed(model, paths["fit"], work)
+
+    def error(path: Path) -> np.ndarray:
+        return ours(load_model(path), test)
+
+    return out | {"added": added(model, out["effects"], paths["fit"], error)}
 
 
 def inspected(files: Sequence[Path], work: Path, *options: str) -> dict[str, Any]:
@@ -214,7 +221,44 @@ def diagnosed(model: Path, fit: Path, work: Path) -> dict[str, Any]:
 def by_position(model: Path, paths: dict[str, Path], work: Path, text: str) -> dict[str, Any]:
     """Compensated torque: the error of the simulated position on what judges, and what the other commands say."""
     found, error = compared(model, paths["test"], work)
-    return found | diagnosed(model, paths["fit"], work) | {"tightness": median(text), "position": error}
+    found |= diagnosed(model, paths["fit"], work) | {"tightness": median(text), "position": error}
+
+    def simulated(path: Path) -> np.ndarray:
+        return np.array([compared(path, paths["test"], work)[1]])
+
+    return found | {"added": added(model, found["effects"], paths["fit"], simulated)}
+
+
+def added(model: Path, effects: Sequence[str], fit: Path, error: Callable[[Path], np.ndarray]) -> list[dict[str, Any]]:
+    """What was not fitted after each of ``effects`` more: error at its joints and, summed, of the whole arm; of a refused one why.
+
+    ``error``: of a model file, (n,) at the joints or (1,) of the arm.
+    """
+    joints = load_model(model).joints
+    steps, now, before = list[dict[str, Any]](), model, error(model)
+    for k, label in enumerate(effects):
+        new = model.with_suffix(f".{k}.json")
+        code, text, _ = stopset("add", str(now), label, "--data", str(fit), "--out", str(new), "--quiet")
+        if code or not new.exists():
+            steps.append({"effect": label, "refused": text.strip().splitlines()[0] if text.strip() else f"exit {code}"})
+            continue
+        after = error(new)
+        named = label.partition(":")[2].split("+")
+        here = [joints.index(j) for j in named if j in joints and len(before) == len(joints)] or list(range(len(before)))
+        there = [round(float(x[here].sum()), 4) for x in (before, after)]
+        steps.append({"effect": label, "there": there, "all": [round(float(x.sum()), 4) for x in (before, after)]})
+        now, before = new, after
+    return steps
+
+
+def worth(steps: Sequence[dict[str, Any]]) -> str:
+    """What claims did to the error of what was not fitted, in words."""
+    said = [
+        f"{s['effect']} refused" if "refused" in s else f"{s['effect']} {s['there'][0]:.3g} to {s['there'][1]:.3g}" for s in steps
+    ]
+    taken = [s for s in steps if "all" in s]
+    whole = [f"**all {taken[0]['all'][0]:.2f} to {taken[-1]['all'][1]:.2f}**"] if taken else []
+    return "; ".join([*said, *whole]) or "-"
 
 
 def table(results: Sequence[dict[str, Any]]) -> str:
@@ -227,6 +271,7 @@ def table(results: Sequence[dict[str, Any]]) -> str:
         "tightness at 0.1 s, U [N m]",
         "held-out blocks that leave the sets, the domain",
         "diagnosis of the fitted part",
+        "what was not fitted: error at its joints before and after each was added",
         "processor time [s]: inspect, identify, compare, diagnose",
     )
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -242,7 +287,7 @@ def table(results: Sequence[dict[str, Any]]) -> str:
         width = f"{r['U']:.0f}" if "U" in r else "-"
         cells = (
             r["robot"], r["inspect"], r["identify"], held_out, f"{r.get('tightness', '-')}, {width}", r.get("left", "-"),
-            f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}",
+            f"{r.get('diagnosis', '-')}: {', '.join(r.get('effects', [])) or '-'}", worth(r.get("added", ())),
             f"{r['inspect seconds']:.0f}, {r['identify seconds']:.0f}, {r.get('compare seconds', 0):.0f}, {r.get('diagnose seconds', 0):.0f}",
         )  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")

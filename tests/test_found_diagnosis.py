@@ -37,6 +37,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import as_found
 import found_pairs
 import payloads
+import real_robots
 from as_found import CASES, PROGRAM, Trouble, answer, recorded
 
 DRIFTS = "torque sensor drifts by 1 N m, one trajectory"
@@ -467,3 +468,18 @@ def test_limits_that_nearly_depend_on_one_another_are_met_all_the_same() -> None
     """The exchange of active rows went in circles, and two of 24 drawn arms were refused: limits that contradict each other, it said."""
     answer = found_pairs.asked("lwa4p", found_pairs.weeks_later(found_pairs.drawn(109070, 6), 109070), 109070)
     assert answer["right"] and answer["named"] == ["payload:"], answer
+
+
+@pytest.mark.shared
+def test_what_one_half_of_a_motion_does_not_tell_of_the_other_is_not_named(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """Of these 17 s a spring, a cable, load friction, cubic friction and hysteresis were named, as blocks of 2.5 s lie between what was
+    fitted; added, they raised the error of the 11 s that followed, which the whole recording says, too."""
+    folder: Path = shared_data("ur10")
+    robot = load_robot(folder / "robot.urdf")
+    read = read_recordings(folder / "exciting.parquet", robot)
+    fit, _ = real_robots.divided(read)
+    first = replace(read, meta=replace(read.meta, joints=robot.joints), trials=tuple(fit))
+    model = identified(robot, Campaign(first.meta, lambda: iter(first.trials)), Settings()).model
+    found = diagnose_model(model, first)[0]
+    assert (found.verdict, found.ranked) == ("unknown", ())
+    assert any("the other half of these recordings" in words for u in found.unexplained for words in u.resembles)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,10 +23,13 @@ class HeldOut:
 
     Friction scales from motion to motion, which nothing foretells.  Where motions are few that scatter is most of the whole error, and
     hides what a law says of every one of them; what differs between motions shows in the whole error only.
+    ``halves`` (n,), where blocks of time are held out: the error of either half by a fit of the other one.  Blocks lie between what was
+    fitted just before and after them, at the same places of the arm: there any curve interpolates.
     """
 
     whole: Array
     within: Array
+    halves: Array | None = None
 
 
 def judged_on(engine: Engine) -> str:
@@ -46,30 +50,57 @@ def held_out(now: Hypothesis, hyper: Hyper) -> HeldOut:
     """
     engine, view = now.engine, now.view()
     n = engine.data.n
-    few = few_motions(engine)
-    folds = [by_time(engine, j) if few else view.engine.grams[j].row_fold for j in range(n)]
+    if few_motions(engine):
+        whole, halves = (_left_out(now, hyper, [each(engine, j) for j in range(n)]) for each in (by_time, by_half))
+        return HeldOut(whole, whole, halves)
     square, inner, count = np.zeros(n), np.zeros(n), np.zeros(n)
     for fold in range(FOLDS):
-        if few:
-            G = np.zeros((view.engine.size, view.engine.size))
-            for gram, row_fold, kappa in zip(view.engine.grams, folds, hyper.kappa, strict=True):
-                G[np.ix_(gram.index, gram.index)] += _sums(gram, row_fold != fold, kappa)
-        else:
-            G, _ = view.total(hyper, np.arange(FOLDS) != fold)
-        p = project(G, 0, view.nuisance, np.zeros(0, np.intp), view.precision(hyper), view.mean)
-        theta = np.concatenate([[1.0], -p.theta])
+        G, _ = view.total(hyper, np.arange(FOLDS) != fold)
+        theta = _fitted(view, hyper, G)
         for j, rows in enumerate(engine.rows):
             gram, k = view.engine.grams[j], len(rows.take)
-            here = folds[j][:k] == fold
-            if few:
-                here &= ~_guarded(engine, j)
+            here = gram.row_fold[:k] == fold
             whole = gram.times(theta[gram.index])
-            within = whole if few else gram.residual(theta[gram.index], hyper.sigma[j], hyper.kappa[j])
+            within = gram.residual(theta[gram.index], hyper.sigma[j], hyper.kappa[j])
             square[j] += float(np.sum(rows.whiten.coloured(whole[:k])[here] ** 2))
             inner[j] += float(np.sum(rows.whiten.coloured(within[:k])[here] ** 2))
             count[j] += int(here.sum())
     count = np.maximum(count, 1)
     return HeldOut(np.sqrt(square / count), np.sqrt(inner / count))
+
+
+def _left_out(now: Hypothesis, hyper: Hyper, folds: Sequence[Index]) -> Array:
+    """(n,) error of the parts of time that ``folds`` (by joint, (K + P,) of each row; -1: in no part that judges) number, each by a
+    fit of all others."""
+    engine, view = now.engine, now.view()
+    square, count = np.zeros(engine.data.n), np.zeros(engine.data.n)
+    for fold in range(max(int(f[: len(r.take)].max(initial=-1)) for f, r in zip(folds, engine.rows, strict=True)) + 1):
+        G = np.zeros((view.engine.size, view.engine.size))
+        for gram, own, kappa in zip(view.engine.grams, folds, hyper.kappa, strict=True):
+            G[np.ix_(gram.index, gram.index)] += _sums(gram, own != fold, kappa)
+        theta = _fitted(view, hyper, G)
+        for j, rows in enumerate(engine.rows):
+            gram, k = view.engine.grams[j], len(rows.take)
+            here = (folds[j][:k] == fold) & ~_guarded(engine, j)
+            square[j] += float(np.sum(rows.whiten.coloured(gram.times(theta[gram.index])[:k])[here] ** 2))
+            count[j] += int(here.sum())
+    return np.sqrt(square / np.maximum(count, 1))
+
+
+def _fitted(view: Hypothesis, hyper: Hyper, G: Array) -> Array:
+    """Coefficients of a view's columns, that of the torque first, from sums over some rows."""
+    p = project(G, 0, view.nuisance, np.zeros(0, np.intp), view.precision(hyper), view.mean)
+    return np.concatenate([[1.0], -p.theta])
+
+
+def by_half(engine: Engine, joint: int) -> Index:
+    """(K + P,) whether a row of a joint lies in the second half of all that was recorded, by time; poses are in neither."""
+    rows, d = engine.rows[joint], engine.data
+    begun = np.concatenate([[0.0], np.cumsum([t.fine.stop - t.fine.start for t in d.trials])]) * d.kernel.dt
+    first = np.array([d.t_fine[t.fine.start] for t in d.trials])
+    trial = d.trial[rows.take]
+    since = begun[trial] + d.t[rows.take] - first[trial]
+    return np.concatenate([(since >= begun[-1] / 2).astype(np.intp), np.full(rows.size - len(rows.take), 2, np.intp)])
 
 
 def by_time(engine: Engine, joint: int) -> Index:

@@ -18,19 +18,23 @@ from stopset.types import Array
 @dataclass(frozen=True, slots=True)
 class Step:
     """One claim more: held-out torque error ``before`` and ``after``, why that is too little, empty where it is not, and at which
-    joints it acts, empty for the whole arm; ``inner``: it is within motions that it shows, not in the whole error."""
+    joints it acts, empty for the whole arm; ``inner``: it is within motions that it shows, not in the whole error; ``halves``: of the
+    errors of either half of the time."""
 
     before: HeldOut
     after: HeldOut
     why: str
     joints: tuple[int, ...] = ()
     inner: bool = False
+    halves: bool = False
 
     @property
     def stated(self) -> tuple[Array, Array]:
         """(n,) [N m] each: the errors before and after, at its joints those in which it shows."""
         here = np.isin(np.arange(len(self.before.whole)), self.joints) | (not self.joints)
-        before, after = (np.where(here & self.inner, x.within, x.whole) for x in (self.before, self.after))
+        all_of_it = (x.halves if self.halves and x.halves is not None else x.whole for x in (self.before, self.after))
+        inner = (x.within for x in (self.before, self.after))
+        before, after = (np.where(here & self.inner, within, whole) for within, whole in zip(inner, all_of_it, strict=True))
         return before, after
 
     @property
@@ -66,6 +70,8 @@ def judged(
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
     What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
     too, it must stand out.
+    Where blocks of time are held out it must show in either half of the time by a fit of the other one as well: a block has what was fitted
+    on both sides of it, at the same places of the arm, and any curve lies between these.
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
@@ -77,6 +83,8 @@ def judged(
     if candidate.effect.absorbed and not (doubtful or unseen or (earlier and now.engine.modelled)):
         return whole
     whole = replace(whole, why=too_little(whole, candidate, earlier, left))
+    if before.halves is not None and not whole.why:
+        return replace(whole, why=too_little(replace(whole, halves=True), candidate, earlier, left))
     hidden = whole.why and candidate.effect.role == "friction"
     return inner if hidden and not too_little(inner, candidate, earlier, left) else whole
 
@@ -128,8 +136,9 @@ def too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left
     keeps = x.inner or _keeps_more(x, left)
     if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"
-    falls = f"lowers the error on motions that were not fitted by {lowered:.1%}"
-    rises = f"raises the error on motions that were not fitted by {-lowered:.1%}, which it should lower"
+    where = "the other half of these recordings than was fitted" if x.halves else "motions that were not fitted"
+    falls = f"lowers the error on {where} by {lowered:.1%}"
+    rises = f"raises the error on {where} by {-lowered:.1%}, which it should lower"
     why = f"it {rises if lowered < 0 else falls}; expected more than {expected:.0%}{beside}"
     return "" if lowered > expected else why
 
