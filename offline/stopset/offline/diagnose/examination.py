@@ -30,7 +30,6 @@ from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.words import many
 
-AS_BEFORE = "the model leaves no more there than it left of its own recordings, so it is no change since"
 INNER = " These errors are within the motions, whatever scale their friction has: how it scatters between them hides what this explains."
 
 
@@ -187,7 +186,7 @@ def _as_before(found: Found, claim: Claim) -> str:
     engine, c = found.now.engine, claim.scored.candidate
     at = c.joints or tuple(np.flatnonzero(np.array(claim.excess_before) > np.array(claim.excess_after)).tolist())
     if at and all(engine.as_before[j] for j in at):
-        return AS_BEFORE
+        return "the model leaves no more there than it left of its own recordings, so it is no change since"
     return ""
 
 
