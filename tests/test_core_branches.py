@@ -270,10 +270,9 @@ def test_a_message_is_rounded_and_sealed_twice_in_its_place() -> None:
     })  # fmt: skip
     for begin in (b"12345678", b"abcdefgh"):
         data[:8] = begin
-        lib.stopset_message(message)
+        lib.stopset_message(message, 20)
         low, high = struct.unpack("<ff", data[8:16])
         assert low >= 0.1 and high <= -0.1 and abs(low - 0.1) < 1e-8 and abs(high + 0.1) < 1e-8
-        lib.stopset_seal(message, 20)
         data[28:48] = b"more" + 16 * begin[:1]
         lib.stopset_seal(message, 48)
         for end in (20, 48):

@@ -26,7 +26,7 @@ from stopset.monitor.journal import Journal, blank
 from stopset.monitor.journal_file import FileStore
 from stopset.monitor.latch import Latch, Record
 from stopset.monitor.layout import FIELDS, LENGTH, Flag, State, crc32c, offsets, outward_all, unpack
-from stopset.monitor.packer import Packer
+from stopset.monitor.packer import Changing, Packer
 from stopset.monitor.profile import load_profile
 from stopset.monitor.sample import Quantum, Sample
 from stopset.monitor.source import CycleCount
@@ -489,16 +489,17 @@ def message(**more: Any) -> bytes:
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**32 - 1), st.floats(-1e9, 1e9)), min_size=1, max_size=5))
 def test_a_message_made_in_place_is_the_one_made_anew(rows: list[tuple[int, int, float]]) -> None:
-    same = {"boot_id": 5, "model_hash": 6, "config_hash": 7, "valid_for_ms": 8, "cycle_us": 9, "joints": 6}
-    blocks = [same | {"data_id": k, "stop0_time": np.full(6, 0.1 * k), "stop1_provable": k} for k in range(3)]
+    same = {"model_hash": 6, "config_hash": 7, "valid_for_ms": 8, "cycle_us": 9, "joints": 6}
+    blocks = [
+        same | {"data_id": k, "stop0_time": np.full(6, 0.1 * k), "stop1_provable": k, "holding_margin_min": -0.1 * k}
+        for k in range(3)
+    ]
     packer = Packer()
     for k, seq, room in rows:
-        values: dict[str, object] = dict.fromkeys(
-            ("violation_count", "flags", "t_meas_ns", "t_pub_ns", "bad_nodes", "dropped"), seq
-        )
-        values |= {"seq": seq, "room_min": room, "holding_margin_min": -room, "oldest_age": abs(room), "nonces": (seq, 0, 0, k)}
-        values |= {"state": 1 + k, "conformance": k, "first_joint": 2 + k, "violation_class": 3}
-        assert packer.again(values, {"nonces": (seq, 0, 0, k)}, blocks[k]) == pack({**blocks[k], **values})
+        now = Changing(seq, 1 + k, k, 2 + k, 3, seq, seq, abs(room), room, seq, seq)
+        nonces = (seq, 0, 0, k)
+        values = now._asdict() | {"seq": seq, "boot_id": 5, "t_pub_ns": seq, "nonces": nonces}
+        assert packer.again(now, (seq, 5, seq), nonces, blocks[k]) == pack({**blocks[k], **values})
 
 
 def test_codes_differ_in_four_bits() -> None:

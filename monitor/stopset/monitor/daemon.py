@@ -25,7 +25,7 @@ from stopset.monitor.config import Config
 from stopset.monitor.evidence.recorder import Filed, Recorder
 from stopset.monitor.latch import Latch
 from stopset.monitor.layout import MAX_JOINTS, Flag, State
-from stopset.monitor.message import CODES, Observed, StateMessage
+from stopset.monitor.message import CODES, StateMessage
 from stopset.monitor.notify import Notifier
 from stopset.monitor.operators import Operators
 from stopset.monitor.orders import Orders
@@ -40,7 +40,7 @@ from stopset.monitor.source import NoSource, SampleSource, drives_of, resumed
 from stopset.monitor.spawned import Spawned
 from stopset.monitor.status import OkConditions, Recovery, Situation, believable, decide
 from stopset.monitor.stopdesk import StopDesk, seen_by
-from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.verdict import FAULT, VIOLATION, Verdict
 from stopset.monitor.watch import check_cycle
 
 MAX_FAULTS = 3  # errors of the daemon's own in a row before it gives up and lets its supervisor restart it
@@ -94,7 +94,7 @@ class Daemon:
         self._next_json = self._next_health = 0.0
         self.publisher = Publisher(outlet, self.clock, self._identity(), beside.key)
         self.clearing = Clearing(Operators.of(config.operators), self.latch, self.publisher, config.data_id, self.clock)
-        self._message = StateMessage(config.fallback, model.n)
+        self._message = StateMessage(config.fallback, model.joints)
         for name in ("challenge", "reset"):
             outlet.subscribe(name, self.orders.take)
         outlet.serve("model", lambda: self._loaded.text)
@@ -189,7 +189,7 @@ class Daemon:
         self.pace.take(s.t)
         v = self.verdict = self.watch.step(s)
         new = self.latch.take(s, v, now)  # before anything else, for nothing that fails below may lose it
-        if v.conformance is Conformance.VIOLATION:
+        if v.conformance is VIOLATION:
             self.clearing.violation()
         t = self.tally
         t.samples += 1
@@ -214,7 +214,7 @@ class Daemon:
             self.publisher.event(
                 "violation", why=v.why, violations=[e.plain() for e in new], evidence_columns="k t q dq tau", evidence=rows
             )
-        if v.conformance is Conformance.FAULT:
+        if v.conformance is FAULT:
             t.faults += 1
             self.publisher.seldom("fault", why=v.why)
         if self.pace.why:
@@ -246,9 +246,10 @@ class Daemon:
         return Turn(state, flags, why, numbers)
 
     def _send(self, turn: Turn) -> None:
-        observed = Observed(self.sample, self.verdict, self.latch, self._dropped + self.source.dropped + self.orders.dropped)
-        message, identity = self._message, self.publisher.identity
-        self.publisher.state(message.values(turn, observed, self.model.joints), message.block(turn.numbers, identity))
+        message, publisher = self._message, self.publisher
+        dropped = self._dropped + self.source.dropped + self.orders.dropped
+        now = message.changing(turn, self.sample, self.verdict, self.latch, dropped)
+        publisher.state(now, message.block(turn.numbers, publisher.identity))
         self._notify.say("WATCHDOG=1")
 
     def _obey(self, now: float) -> None:
@@ -310,7 +311,7 @@ class Daemon:
             self._send(turn)
             self.publisher.words("state/json", twin(self, turn))
         except Exception:  # noqa: BLE001 - as above; the bare message needs nothing of what has failed
-            self.publisher.state(None)
+            self.publisher.nothing()
 
     def run(self, reopen: Reopen) -> int:
         """Until stopped; returns the exit code. A lost bus is FAULT until ``reopen`` succeeds."""

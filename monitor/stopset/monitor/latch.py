@@ -11,9 +11,10 @@ import msgspec
 from stopset.monitor.evidence.cause import Cause, Kind
 from stopset.monitor.journal import Journal, Unreadable, has_room
 from stopset.monitor.sample import Sample
-from stopset.monitor.verdict import Conformance, Deviation, Verdict
+from stopset.monitor.verdict import VIOLATION, Deviation, Verdict
 
 SCHEMA = 1
+_NONE, _UNCLASSED = Kind.NONE, Kind.UNCLASSED  # as in `stopset.monitor.verdict`
 SAVE_EVERY = 1.0  # [s] the disk gets a growing count this often, a new entry at once; the system's memory gets every count
 
 
@@ -84,7 +85,7 @@ class Latch:
 
     def take(self, sample: Sample, verdict: Verdict, now: float = 0.0) -> list[LatchEntry]:
         """Record a verdict at ``now`` [s]; returns the entries that are new with it."""
-        if verdict.conformance is not Conformance.VIOLATION:
+        if verdict.conformance is not VIOLATION:
             return []
         r = self.record
         r.count += 1
@@ -121,7 +122,7 @@ class Latch:
     def kind(self) -> Kind:
         """Class of the first violation."""
         if not self.record.cause:
-            return Kind.UNCLASSED if self.record.entries else Kind.NONE
+            return _UNCLASSED if self.record.entries else _NONE
         return Kind(self.record.cause["kind"])
 
     def hear(self, emergencies: dict[str, int]) -> None:

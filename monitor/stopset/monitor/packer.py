@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from operator import itemgetter
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,17 +29,32 @@ def _struct(fields: tuple[Field, ...]) -> struct.Struct:
     return struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in fields))
 
 
-# what changes with every message stands in three places: whole numbers first, three real ones, whole numbers at the end
+class Changing(NamedTuple):
+    """The fields of a message that what is observed decides, in the order in which they stand in it."""
+
+    t_meas_ns: int
+    state: int
+    conformance: int
+    first_joint: int
+    violation_class: int
+    flags: int
+    violation_count: int
+    oldest_age: float
+    room_min: float
+    bad_nodes: int
+    dropped: int
+
+
+# what changes with every message stands in three places: whole numbers first, some that stay among them, three real ones, whole numbers
 _FIRST, _NUMBERS, _LAST = (
     _between("seq", "violation_count"),
     _between("holding_margin_min", "room_min"),
     _between("nonces", "reserved2"),
 )
 _FIRST_STRUCT, _NUMBER_STRUCT, _LAST_STRUCT = _struct(_FIRST), struct.Struct(f"={len(_NUMBERS)}d"), _struct(_LAST)
-_FIRST_NAMES = tuple(f.name for f in _FIRST)
-_CHANGING = (*_FIRST_NAMES, *(f.name for f in _NUMBERS))
-_of_first, _of_numbers = itemgetter(*_FIRST_NAMES), itemgetter(*(f.name for f in _NUMBERS))
+_FIRST_AT, _LAST_AT, _CHECK_AT, _END_AT = AT["seq"], AT["nonces"], *(AT[iso] for iso, _ in CHECKED)
 _MAC = slice(AT["mac"], AT["mac"] + MAC)
+_STAYING = ("model_hash", "config_hash", "valid_for_ms", "cycle_us", "joints", "holding_margin_min")
 _SIDES = tuple(1 if f.rounds == "up" else -1 for f in _NUMBERS)
 
 
@@ -54,7 +68,7 @@ class Packer:
         self._real = np.zeros(len(_WORDS))
         self._floats = np.frombuffer(self._bytes, "<f4")
         self._block: Mapping[str, Any] | None = None
-        self._same: dict[str, Any] = {}  # of the block, what stands among the whole numbers that change
+        self._staying: list[Any] = []  # of the block, what stands among what changes
         self._views = {
             f.name: np.frombuffer(self._bytes, "<" + {"B": "u1", "H": "u2", "I": "u4", "Q": "u8"}[KINDS[f.kind][0]], f.count, AT[f.name])
             for f in _WHOLE
@@ -72,17 +86,21 @@ class Packer:
         self._block, self._message.count = None, 0
         return self._finish()
 
-    def again(self, values: Mapping[str, Any], more: Mapping[str, Any], block: Mapping[str, Any]) -> bytes:
-        """The same where many fields stay: ``block`` is only looked at if it is another object than the last time, and holds
-        what does not change; ``values`` and ``more`` hold all that does."""
+    def again(self, now: Changing, number: tuple[int, int, int], nonces: Iterable[int], block: Mapping[str, Any]) -> bytes:
+        """The same where many fields stay: ``block`` is only looked at if it is another object than the last time, and holds what does not
+        change. ``number``: ``seq``, ``boot_id`` and ``t_pub_ns``."""
         if block is not self._block:
             self._start(block)
             self._block, self._message.count = block, len(_NUMBERS)
-            self._same = {name: block[name] for name in _CHANGING if name in block}
-        now = {**self._same, **values, **more}
-        _FIRST_STRUCT.pack_into(self._bytes, AT["seq"], *_of_first(now))
-        _NUMBER_STRUCT.pack_into(self._numbers, 0, *_of_numbers(now))
-        _LAST_STRUCT.pack_into(self._bytes, AT["nonces"], *now["nonces"], self._key_id, now["bad_nodes"], now["dropped"], 0)
+            self._staying = [block.get(name, 0) for name in _STAYING]
+        t_meas, state, conformance, joint, kind, flags, count, age, room, bad, dropped = now
+        seq, boot, t_pub = number
+        model, config, valid, cycle, joints, margin = self._staying
+        place = self._bytes
+        first = seq, boot, t_meas, t_pub, model, config, valid, state, conformance, cycle, joints, joint, kind, flags, count
+        _FIRST_STRUCT.pack_into(place, _FIRST_AT, *first)
+        _NUMBER_STRUCT.pack_into(self._numbers, 0, margin, age, room)
+        _LAST_STRUCT.pack_into(place, _LAST_AT, *nonces, self._key_id, bad, dropped, 0)
         return self._finish()
 
     def _start(self, values: Mapping[str, Any]) -> None:
@@ -97,9 +115,8 @@ class Packer:
         self._floats[_WORDS] = outward_all(self._real, _UP)
 
     def _finish(self) -> bytes:
-        lib.stopset_message(self._message)
-        lib.stopset_seal(self._message, AT[CHECKED[0][0]])
+        lib.stopset_message(self._message, _CHECK_AT)
         if self.key is not None:
             self._bytes[_MAC] = self.key.code(self._signed)
-        lib.stopset_seal(self._message, AT[CHECKED[1][0]])
+        lib.stopset_seal(self._message, _END_AT)
         return bytes(self._bytes)

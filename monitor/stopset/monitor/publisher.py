@@ -13,7 +13,7 @@ import numpy as np
 from stopset.monitor.authentication import Key
 from stopset.monitor.clock import Clock
 from stopset.monitor.layout import CATEGORIES, MAX_JOINTS, NONCES, PREFIX, Flag, State
-from stopset.monitor.packer import Packer
+from stopset.monitor.packer import Changing, Packer
 
 MAX_EVENTS = 100  # kept for those who ask later
 U64 = 2**64 - 1
@@ -46,23 +46,29 @@ class Publisher:
             for name in ("time", "angle_forward", "angle_back", "time_max", "tcp"):
                 self._nothing[f"{PREFIX[c]}_{name}"] = inf if name in ("time", "angle_forward", "angle_back") else np.inf
 
-    def state(self, values: Mapping[str, Any] | None, block: Mapping[str, Any] | None = None) -> None:
-        """The next state message; None, or values that cannot be packed, go out as FAULT without numbers.
+    def state(self, now: Changing, block: Mapping[str, Any]) -> None:
+        """The next state message; values that cannot be packed go out as FAULT without numbers.
 
         ``block``: fields that stay while it is the same object.
         """
-        now = {
-            "seq": self.seq & 0xFFFFFFFF, "boot_id": self.boot, "t_pub_ns": self.clock.time_ns() & U64,
-            "nonces": tuple(self._nonces),
-        }  # fmt: skip
+        number = self.seq & 0xFFFFFFFF, self.boot, self.clock.time_ns() & U64
         try:
-            if values is None or block is None:
-                data = self._packer.pack({**self.identity, **(self._nothing if values is None else values), **now})
-            else:
-                data = self._packer.again(values, now, block)
+            data = self._packer.again(now, number, self._nonces, block)
         except Exception as e:  # noqa: BLE001 - whatever it is, the consumers must hear FAULT rather than nothing
             self._failed("a message could not be packed", e)
-            data = self._packer.pack({**self.identity, **self._nothing, **now})
+            data = self._bare(number)
+        self._out(data)
+
+    def nothing(self) -> None:
+        """The next state message is FAULT without numbers."""
+        self._out(self._bare((self.seq & 0xFFFFFFFF, self.boot, self.clock.time_ns() & U64)))
+
+    def _bare(self, number: tuple[int, int, int]) -> bytes:
+        seq, boot, t_pub = number
+        now = {"seq": seq, "boot_id": boot, "t_pub_ns": t_pub, "nonces": tuple(self._nonces)}
+        return self._packer.pack({**self.identity, **self._nothing, **now})
+
+    def _out(self, data: bytes) -> None:
         self.seq += 1
         try:
             self._send(data)

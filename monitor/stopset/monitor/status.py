@@ -9,7 +9,7 @@ import numpy as np
 from stopset.monitor.certificates import Numbers
 from stopset.monitor.layout import Flag, State
 from stopset.monitor.sample import Sample
-from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.verdict import CONFORMANT, FAULT, UNKNOWN, Verdict
 
 # whole numbers: combining flags in a loop of microseconds costs tens of them
 _LATCHED, _OUTSIDE, _GAP, _STALE, _NO_STOP, _LATE, _NOT_POWERED, _NO_TORQUE, _NOT_FRESH, _NODE, _YOUNG, _RECOVERING, _END_STOP = (
@@ -78,7 +78,7 @@ def flags_of(s: Situation) -> int:
     if v is not None:
         if v.outside:
             bits |= _OUTSIDE
-        if v.conformance is Conformance.UNKNOWN and v.gap:
+        if v.gap and v.conformance is UNKNOWN:
             bits |= _GAP
     if x is not None:
         bits |= (0 if x.powered else _NOT_POWERED) | (_NO_TORQUE if x.tau is None else 0) | (_NODE if x.fault else 0)
@@ -89,7 +89,7 @@ def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
     """State, flags and one sentence. Order: own fault, latched violation, no signal, old data, drives, another cycle, no
     verdict, little evidence, no bound, OK."""
     flags, v = flags_of(s), s.verdict
-    failed = s.fault or (v.why if v is not None and v.conformance is Conformance.FAULT else "")
+    failed = s.fault or (v.why if v is not None and v.conformance is FAULT else "")
     if failed:
         return State.FAULT, flags, failed
     if s.latched:
@@ -112,7 +112,7 @@ def decide(s: Situation, limits: OkConditions) -> tuple[State, int, str]:
         return State.UNKNOWN, flags, s.sample.fault
     if s.pace:
         return State.UNKNOWN, flags, s.pace
-    if v.conformance is not Conformance.CONFORMANT:
+    if v.conformance is not CONFORMANT:
         return State.UNKNOWN, flags, v.why
     if v.oldest < limits.evidence:
         why = f"held against predictions of the last {v.oldest * 1e3:.0f} ms only; OK needs {limits.evidence * 1e3:.0f} ms"

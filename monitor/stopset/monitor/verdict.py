@@ -19,6 +19,10 @@ class Conformance(StrEnum):
     FAULT = "FAULT"
 
 
+# Python 3.11 calls a function for every look into an enumeration, some of them in every cycle
+CONFORMANT, VIOLATION, UNKNOWN, FAULT = Conformance
+
+
 @dataclass(frozen=True, slots=True)
 class Deviation:
     """One measurement outside its prediction: ``excess`` beyond the bound [rad or rad/s], also as a part of the tube's width.
@@ -56,13 +60,13 @@ class Verdict(msgspec.Struct, frozen=True):  # as `Sample`
         cls, deviations: tuple[Deviation, ...], outside: tuple[str, ...], compared: int, oldest: float, room: Array
     ) -> Verdict:
         """What a sample that was held against predictions has come to: one contradiction is a violation, inside the domain or not."""
-        result, why = Conformance.CONFORMANT, "inside every prediction"
+        result, why = CONFORMANT, "inside every prediction"
         if deviations:
             worst = max(deviations, key=lambda d: d.fraction)
-            result = Conformance.VIOLATION
+            result = VIOLATION
             why = f"{worst.joint}: {worst.state} {worst.side} its prediction of {worst.age:.3f} s ago"
         elif outside:
-            result, why = Conformance.UNKNOWN, beyond_domain(outside)
+            result, why = UNKNOWN, beyond_domain(outside)
         return cls(result, why, compared, oldest, deviations, outside, room)
 
 

@@ -24,7 +24,7 @@ from stopset.monitor.inputs import Inputs
 from stopset.monitor.linear_tubes import LinearTubes
 from stopset.monitor.payload import unidentified_payload
 from stopset.monitor.sample import Quantum, Sample
-from stopset.monitor.verdict import Conformance, Verdict
+from stopset.monitor.verdict import UNKNOWN, Verdict
 from stopset.types import Array
 
 
@@ -118,7 +118,7 @@ class Watch(Check):
                 check(code)
         if reason:
             self.restart()
-            return Verdict(Conformance.UNKNOWN, reason)
+            return Verdict(UNKNOWN, reason)
         return self._said(self._state, self._outside(s)) if follows else self._uneven(s, before)
 
     def _unreadable(self, code: int, s: Sample) -> str:
@@ -152,9 +152,9 @@ class Watch(Check):
         self._loosen(slack)
         c.seen[1] = 0
         if gap and before is not None:
-            verdict = Verdict(Conformance.UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=beyond, gap=True)
+            verdict = Verdict(UNKNOWN, f"gap: cycle {before.k} was followed by {s.k}", outside=beyond, gap=True)
         elif not known:
-            verdict = Verdict(Conformance.UNKNOWN, "first sample: nothing predicted yet", outside=beyond)
+            verdict = Verdict(UNKNOWN, "first sample: nothing predicted yet", outside=beyond)
         else:
             check(lib.stopset_compare(c, view(x)))
             verdict = self._said(x, beyond)
@@ -188,7 +188,7 @@ class Watch(Check):
         """What the comparison of the state ``x`` (2n,) has come to, with signals ``beyond`` the domain."""
         c = self._struct
         if not (live := c.live):
-            return Verdict(Conformance.UNKNOWN, "nothing predicted for this sample", outside=beyond)
+            return Verdict(UNKNOWN, "nothing predicted for this sample", outside=beyond)
         oldest, passed = c.seen
         deviations = self.tubes.deviations(x) if passed else ()
         return Verdict.of_comparison(deviations, beyond, live, self.tubes.seconds[oldest], self.tubes.room.copy())

@@ -93,12 +93,6 @@ void stopset_outward(int64_t N, const double *x, const int8_t *side, uint32_t *b
     for (int64_t k = 0; k < N; k++) bits[k] = outward(x[k], side[k]);
 }
 
-void stopset_message(StopsetMessage *m) {
-    for (int64_t k = 0; k < m->count; k++) put(m->bytes + m->first + 4 * k, outward(m->numbers[k], m->side[k]));
-    m->summed = 0;
-    m->iso = m->castagnoli = ~0u;
-}
-
 void stopset_seal(StopsetMessage *m, int64_t end) {
     for (; m->summed + 4 <= end; m->summed += 4) { /* side by side: neither waits for the other */
         const uint32_t x = word(m->bytes + m->summed);
@@ -107,4 +101,11 @@ void stopset_seal(StopsetMessage *m, int64_t end) {
     }
     put(m->bytes + end, ~m->iso);
     put(m->bytes + end + 4, ~word_taken(CASTAGNOLI, m->castagnoli, ~m->iso));
+}
+
+void stopset_message(StopsetMessage *m, int64_t end) {
+    for (int64_t k = 0; k < m->count; k++) put(m->bytes + m->first + 4 * k, outward(m->numbers[k], m->side[k]));
+    m->summed = 0;
+    m->iso = m->castagnoli = ~0u;
+    stopset_seal(m, end);
 }

@@ -192,8 +192,10 @@ UNROLLED int64_t look_and_step(const StopsetPredictions *s, const int n, const i
 int64_t stopset_advance(const StopsetPredictions *s, const StopsetReading *reading, int outside, int widen, int64_t seen[2]) {
     const double *x = reading->x, *before = reading->before, *u = reading->u, *du = reading->du;
     const int n2 = s->states, n = n2 / 2;
-    Step step = {.widen = widen, .outside = outside, .worst = {{0}}};
+    Step step; /* filled as far as this arm needs: it has room for 32 joints, and zeros in all of that take as long as 90 rows */
     if (n < 1 || n > J) return -1;
+    step.widen = widen;
+    step.outside = outside;
     seen[0] = seen[1] = 0;
     for (int i = 0; i < n2; i++) {
         double sum = 0.0, push = 0.0, more = 0.0;
@@ -205,6 +207,7 @@ int64_t stopset_advance(const StopsetPredictions *s, const StopsetReading *readi
         step.residual[i] = x[i] - sum - push;
         step.growth[i] = more;
         step.look[i] = least;
+        step.worst[0][i] = step.worst[1][i] = 0.0;
         s->room[i] = inf;
         s->row[i] = s->row[n2 + i] = -1;
     }

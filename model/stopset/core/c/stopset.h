@@ -321,8 +321,8 @@ typedef struct {
     uint32_t iso, castagnoli;
 } StopsetMessage;
 
-/* The numbers, into a message of which nothing is summed yet. */
-STOPSET_API void stopset_message(StopsetMessage *message);
+/* The numbers, into a message of which nothing is summed yet; then as `stopset_seal`. */
+STOPSET_API void stopset_message(StopsetMessage *message, int64_t end);
 /* CRC-32 of all bytes before `end`, a multiple of four, then CRC-32C of these and of that; what was summed before is not summed again. */
 STOPSET_API void stopset_seal(StopsetMessage *message, int64_t end);
 
