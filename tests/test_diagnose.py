@@ -35,6 +35,7 @@ from stopset.offline.nominal.stamps import white
 from stopset.recording import Recording, Recordings, read_recordings
 from stopset.robot import Robot
 from stopset.simulation import prepare
+from test_hidden_effects import ARM as UPRIGHT
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 shared = pytest.mark.skipif(not DATA.exists(), reason="needs the recordings of ../shared/data")
@@ -551,6 +552,15 @@ def test_what_a_laws_form_may_leave_is_estimated_and_takes_no_later_claim_with_i
     if bent:
         best = max((s for s in scores(now, others, hyper) if s.admissible), key=lambda s: s.score)
         assert best.score > THRESHOLD > asked(best.candidate)
+
+
+def test_no_scale_of_a_torque_is_asked_of_an_axis_that_gravity_does_not_load() -> None:
+    """There it is an inertia and friction of another size."""
+    scenario = prepare(robot_from_text(UPRIGHT), ["none"], 3, "compact")
+    engine = Engine.build(
+        scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings()))
+    )
+    assert {place for effect, place, _ in wanted(engine) if effect.name == "torque_gain"} == {(1,), (2,)}
 
 
 def test_a_narrow_decision_is_taken_again_once_the_other_causes_are_known() -> None:

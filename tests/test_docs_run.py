@@ -74,6 +74,7 @@ NOT_HERE = {  # line: reason, and the file or program whose absence is it
     "python benchmarks/diagnosis_speed.py": (MINUTES, ""),
     "python benchmarks/found_pairs.py": (MINUTES, ""),
     "python benchmarks/found_limits.py": (MINUTES, ""),
+    "python benchmarks/healthy_again.py": (MINUTES, ""),
     "python benchmarks/one_answer.py": (MINUTES, ""),
     "python benchmarks/real_robots.py FOLDER --markdown TABLE.md": (MINUTES, ""),
     "python benchmarks/revisions.py --robot lwa4p --data open_loop.parquet": (MINUTES, ""),

@@ -58,6 +58,7 @@ LEFT_OUT = (
     ("stopset.offline.conform.linear_sets", "T BOX", WORDS),
     ("stopset.offline.conform.nonlinear", "BATCH", BUDGET),
     ("stopset.offline.identify.pipeline", "PASSES", BUDGET),
+    ("stopset.offline.diagnose.levels", "FEW", "what changed since is no part of a model"),
     ("stopset.offline.identify.signals_file", "*", FORMAT),
     ("stopset.offline.identify.pipeline", "FITTING", WORDS),
     ("stopset.offline.identify.absurd", "BEHIND_GEARS", WORDS),

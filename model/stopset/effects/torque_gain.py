@@ -26,5 +26,6 @@ EFFECT = Effect(
     distinguished_by="Hang a weighed mass at the flange: the true torque is then known.",
     part="torque scale",
     absorbed=True,
+    loaded=True,  # of an axis that gravity does not load a scale is an inertia and friction of another size
     simulated="drive gain",
 )

@@ -25,7 +25,7 @@ from stopset.offline.nominal.nominal import Nominal, identify_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations
 from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
-from stopset.offline.nominal.parameter_uncertainty import of_lags, of_regression
+from stopset.offline.nominal.parameter_uncertainty import left_open, of_lags, of_regression
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.offline.nominal.rotors import inertia_std, rotors_shown, unseen_rotors, with_scales
 from stopset.recording import Recording
@@ -55,6 +55,7 @@ class NominalPart:
     limited: tuple[str, ...] = ()  # those of the notes that say what a limit decided
     taken_out: tuple[dict[str, Any], ...] = ()  # off the recordings before the fit, see `Nominal.taken_out`
     friction_covariance: dict[str, dict[str, Any]] = field(default_factory=dict)  # see `Nominal.friction_covariance`
+    left_open: Array = field(default_factory=lambda: np.zeros((0, 0)))  # see `parameter_uncertainty.left_open`
     inertia_std: Array | None = None  # (n,) see `Model`
     rotors_shown: bool = True
     unseen: float | None = None
@@ -169,6 +170,7 @@ def _regressed(
     return NominalPart(
         arm, nominal.rotor, (*nominal.friction, *known), abstraction, notes, nominal.data, of_regression(cad, nominal, found.sample),
         limited=nominal.limited, taken_out=nominal.taken_out(), friction_covariance=nominal.friction_covariance(),
+        left_open=left_open(cad, nominal, found.sample),
         inertia_std=with_scales(inertia_std(cad, nominal.covariance, nominal.span), arm, nominal.rotor, known, nominal.span),
         rotors_shown=seen,
     )  # fmt: skip

@@ -6,7 +6,9 @@ nobody has explained, and is the number to hold against other identifications.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from stopset.artifact.inputs import InputMap, input_map
 from stopset.effects.base import Fitted
 from stopset.offline.abstraction.metrics import AVERAGING
 from stopset.offline.abstraction.nominal_part import shared_inertia
+from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, torques
@@ -56,3 +59,32 @@ def left_over(
     m = window or max(1, round(AVERAGING / dt))
     count = len(left) // m
     return np.asarray(left[: count * m].reshape(count, m, left.shape[1]).mean(axis=1))
+
+
+class Rows(NamedTuple):
+    """Filtered rows of a motion: ``q, dq, ddq``, and the torque ``left`` without explanation, nan where a joint stands; (rows, n) each."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    left: Array
+
+
+def rows_left(model: Model | TorqueModel, r: Recording) -> Iterator[Rows]:
+    """`left_over` of a recording, low-passed as identification fits it, motion by motion."""
+    for m in motions(r, Preprocessing()):
+        k = m.retained
+        q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
+        u = model.input(q, dq, tau, None if m.temp is None else m.temp[k], 0.0, m.t[k])
+        part = Recording("closed_loop", 0, 0, 0, m.t[k], q, dq, tau)
+        yield Rows(q, dq, ddq, np.where(m.moving[k], left_over(model, part, u, float("nan"), ddq, window=1), np.nan))
+
+
+def rms_left(model: Model | TorqueModel, recordings: Sequence[Recording]) -> Array:
+    """(n,) [N m] root mean square of `rows_left`; nan for a joint that never moves."""
+    total, count = np.zeros(model.robot.n), np.zeros(model.robot.n)
+    for r in recordings:
+        for rows in rows_left(model, r) if r.phase != "static" else ():
+            total += np.nansum(rows.left**2, axis=0)
+            count += np.isfinite(rows.left).sum(axis=0)
+    return np.asarray(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan)))

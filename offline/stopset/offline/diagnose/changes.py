@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from stopset.artifact import Model
 from stopset.effects.registry import get
 from stopset.offline.campaign.hold_out import blocks
-from stopset.offline.compare.known import left_over
+from stopset.offline.compare.known import Rows, rows_left
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.levels import PARTS, LevelChange, level_changes, look_alikes
-from stopset.offline.nominal.preprocess import Preprocessing, motions
 from stopset.recording import Recording
 from stopset.types import Array
 
@@ -185,22 +184,16 @@ def _rows(
 ) -> tuple[Array, np.ndarray, list[LevelChange], list[LevelChange], list[str]]:
     """Leftover torque (rows, n), nan where a joint stands, the block of each row, all levels that may have changed, the laws that look
     like them, and where blocks begin."""
-    parts: list[tuple[Array, ...]] = []
+    parts: list[Rows] = []
     block: list[int] = []
     begins: list[str] = []
     number, moving = 0, [r for r in recordings if r.phase != "static"]
     whole = len(moving) >= limit.CHANGE_TRIALS  # friction scatters from trial to trial: pieces of one err alike
     for r in moving:
         for piece in (r,) if whole else blocks(r):
-            for m in motions(piece, Preprocessing()):
-                k = m.retained
-                q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
-                temp = None if m.temp is None else m.temp[k]
-                u = model.input(q, dq, tau, temp, 0.0, m.t[k])
-                part = Recording("closed_loop", 0, 0, 0, m.t[k], q, dq, tau)
-                e = left_over(model, part, u, float("nan"), ddq, window=1)
-                parts.append((q, dq, ddq, np.where(m.moving[k], e, np.nan)))
-                block += [number] * len(k)
+            for rows in rows_left(model, piece):
+                parts.append(rows)
+                block += [number] * len(rows.left)
             if number in block[-1:]:  # one that gave no row, as a stop's, is none
                 begins.append(r.label if whole else f"{piece.t[0]:.0f} s of {r.label}")
                 number += 1

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.offline.diagnose import thresholds as limit
@@ -62,7 +64,9 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     claims = [c for c, r in zip(found.claims, x.ranked, strict=True) if r in ranked]
     verdict = verdict_of(found, left)
     if verdict == "missing" and not ranked:
-        verdict = "unknown" if any(max(c.excess_before) > limit.SENSORS for c in _refused(x)) else "none"
+        new = ~engine.as_before
+        before = [np.array(c.excess_before)[new] for c in _refused(x)]
+        verdict = "unknown" if any(np.max(e, initial=0.0) > limit.SENSORS for e in before) else "none"
     loose = tuple(r for r in x.plays.beside([r.label for r in ranked]) if names is None or r.effect in names)
     blind = (
         *blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names),
@@ -96,7 +100,20 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
         rows=sum(r.size for r in engine.rows),
-        notes=(*engine.data.sampling, *((SINGLE,) if len(engine.data.trials) == 1 else ())),
+        notes=(*engine.data.sampling, *((SINGLE,) if len(engine.data.trials) == 1 else ()), *_as_ever(x)),
+    )
+
+
+def _as_ever(x: Examination) -> tuple[str, ...]:
+    """What is said of joints that hold more than noise, as they did when the model was identified."""
+    joints = [
+        j for j, same, e in zip(x.engine.data.joints, x.engine.as_before, x.found.excess, strict=True) if same and e > limit.QUIET
+    ]
+    if not joints:
+        return ()
+    return (
+        f"{', '.join(joints)}: the model leaves at most {limit.AS_BEFORE:g} times the torque that it left of its own recordings, so what it "
+        "does not explain there is no change since; on its own recordings `diagnose` asks what that is",
     )
 
 
@@ -154,7 +171,8 @@ def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -
     leaves more than noise, its form is not quite that of the cause: then a law that explains as much may as well be it.
     """
     none = {r.label for r in x.ranked if r.objection}  # what is no finding of these recordings is no change either
-    changed = [c for c in changed if c.label not in none]
+    same = {j for j, held in zip(x.engine.data.joints, x.engine.as_before, strict=True) if held}
+    changed = [c for c in changed if c.label not in none and c.at not in same]
     sound = [c for c in changed if _accounts(x, c)]
     refuted = [c for c in changed if c not in sound]
     found = replace(found, unexplained=tuple(_resembling(u, refuted) for u in found.unexplained))

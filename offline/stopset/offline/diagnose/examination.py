@@ -82,7 +82,7 @@ def examine(
     progress("what is left, and what these recordings cannot tell")
     left = left_of(found)
     # what bends a gear is the torque of the arm as it is, with what it carries and all: a description may be any times off
-    as_fitted = robot.with_parameters(robot.pi + left.theta[: robot.pi.size].reshape(robot.pi.shape))
+    as_fitted = robot.with_parameters(robot.pi + engine.body(left.theta).reshape(robot.pi.shape))
     return Examination(already, found, left, _ranked(found, already, left), plays(as_fitted, recordings))
 
 
@@ -154,7 +154,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
         why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
-        objections.append(_of_the_structure(found, claim) or why or _of_any_position(engine, claim))
+        objections.append(_of_the_structure(found, claim) or why or _of_any_position(engine, claim) or _as_before(found, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
@@ -177,6 +177,18 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         )  # fmt: skip
         error = error if why else taken.after
     return tuple(out)
+
+
+def _as_before(found: Found, claim: Claim) -> str:
+    """Why a claim is none: the model leaves no more of the joints that it explains than it left of its own recordings.
+
+    What a model could not explain when it was identified is still there, and no change.
+    """
+    engine, c = found.now.engine, claim.scored.candidate
+    at = c.joints or tuple(np.flatnonzero(np.array(claim.excess_before) > np.array(claim.excess_after)).tolist())
+    if at and all(engine.as_before[j] for j in at):
+        return "the model leaves no more there than it left of its own recordings, so it is no change since"
+    return ""
 
 
 def _of_another_joint(engine: Engine, claim: Claim) -> str:

@@ -19,6 +19,8 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.robot.rigid import regressors, torques
 from stopset.types import Array
 
+FEW = 2000  # rows that are enough to tell how alike two torques are
+
 PARTS: dict[Part, str] = {
     "dry friction": "Coulomb friction", "damping": "viscous friction", "constant torque": "constant torque",
     "torque scale": "torque scale", "load": "load at the flange",
@@ -99,7 +101,31 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array, moving: NDArray
     friction = np.concatenate(rubs, axis=2)
     out.append(LevelChange(None, tip, friction, load, np.zeros(4), np.array([limit.LEAST_MASS, *[np.inf] * 3])))
     out.append(LevelChange(None, rigid[:, :, None], friction, (_said_of(scale),), np.zeros(1), np.array([limit.LEAST_GAIN])))
-    return out
+    some = np.flatnonzero(moving.any(axis=1))
+    some = some[:: max(1, len(some) // FEW)]
+    open_by = _left_open(model, *(np.ascontiguousarray(x[some]) for x in (q, dq, ddq)))
+    return [
+        replace(c, error=_open_error(c.columns[some], open_by)) if open_by.size and not (c.friction or c.error.any()) else c
+        for c in out
+    ]
+
+
+def _left_open(model: Model, q: Array, dq: Array, ddq: Array) -> Array:
+    """(rows, n, k) [N m] torque along what the model's own recordings left open of it, see `parameter_uncertainty.left_open`."""
+    F, n = np.array(model.provenance.get("left_open", []), float), model.n
+    if not F.size or not len(q):
+        return np.zeros((0, n, 0))
+    rubs = np.einsum("rj,jk->rjk", np.sign(dq), F[11 * n : 12 * n]) + np.einsum("rj,jk->rjk", dq, F[12 * n :])
+    return np.asarray(
+        regressors(model.robot.chain, q, dq, ddq) @ F[: 10 * n] + np.einsum("rj,jk->rjk", ddq, F[10 * n : 11 * n]) + rubs
+    )
+
+
+def _open_error(columns: Array, open_by: Array) -> Array:
+    """(k,) how much of a change with these ``columns`` (rows, n, k) what is left open of the model looks like, one standard deviation of it."""
+    flat = columns.reshape(-1, columns.shape[2])
+    alike = np.linalg.lstsq(flat, open_by.reshape(len(flat), -1), rcond=1e-9)[0]
+    return np.asarray(np.sqrt(np.sum(alike**2, axis=1)))
 
 
 def _own(model: Model, q: Array, dq: Array, ddq: Array, rubs: Sequence[Array]) -> list[LevelChange]:

@@ -18,7 +18,7 @@ from stopset.artifact import Model
 from stopset.effects.base import Fitted
 from stopset.effects.selection import usual_friction
 from stopset.offline.campaign.survey import survey
-from stopset.offline.compare.known import TorqueModel
+from stopset.offline.compare.known import TorqueModel, rms_left
 from stopset.offline.compare.restored import restored
 from stopset.offline.diagnose.evidence.baseline import DESCRIBED, baseline, settled
 from stopset.offline.diagnose.evidence.priors import Beforehand, Known
@@ -85,8 +85,12 @@ def question(model: Model, recordings: Recordings) -> Inquiry:
     filtered = (
         (f"{in_words(cutoff)}; what it took off was put back from the model, and says nothing of its own",) if cutoff else ()
     )
+    prepared = in_time(recordings, model, cutoff, taken_out)
+    known = base.known
+    if known is not None and len(known.own):
+        known = replace(known, now=rms_left(model, [r for r in prepared if moves(r) and r.suite_key not in held]))
     return Inquiry(
-        base.robot, in_time(recordings, model, cutoff, taken_out), held, settled(model) if own else model.effects, base.known,
+        base.robot, prepared, held, settled(model) if own else model.effects, known,
         base.against, (*base.notes, *late, *filtered), taken_out,
     )  # fmt: skip
 

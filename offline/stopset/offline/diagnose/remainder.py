@@ -80,14 +80,19 @@ def _at(found: Found, joint: int) -> list[Claim]:
 
 
 def verdict_of(found: Found, left: Left) -> str:
-    """unknown: something is left that no claim accounts for, and nothing found explains a good part of it."""
-    if left.contradicted:
-        return "unknown"
-    if (left.depends or left.noisy) and not _telling(found.claims):
+    """unknown: something is left that no claim accounts for, and nothing found explains a good part of it.
+
+    A joint of which a model leaves no more than of its own recordings has nothing new to account for.
+    """
+    same = found.now.engine.as_before
+    contradicted, depends, noisy, scattering = (
+        [j for j in joints if not same[j]] for joints in (left.contradicted, left.depends, left.noisy, left.scattering)
+    )
+    if contradicted or ((depends or noisy) and not _telling(found.claims)):
         return "unknown"
     if found.claims:
         return "missing"
-    return "unknown" if left.scattering else "none"
+    return "unknown" if scattering else "none"
 
 
 def _telling(claims: Sequence[Claim]) -> bool:

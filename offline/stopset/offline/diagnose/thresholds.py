@@ -99,6 +99,7 @@ SIZES = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03)  # of such a law's prior
 SAME_DRIVES = 0.01  # of recorded over true torque
 DRIFT = 0.15  # relative
 KNOWN_SCALES = (0.1, 0.3)  # of `Tolerance`
+AS_BEFORE = 1.25  # of the torque that a model leaves of its own recordings
 
 # asked of a finished model: what changed since, and whether `add` takes an effect
 CHANGE_LOWERED = 0.05  # of a joint's torque error
@@ -316,6 +317,8 @@ SETTLED = (
               "chosen"),
     Threshold("KNOWN_SCALES", "how far links may be off such a model, in the description's tolerance; found by evidence", "",
               "chosen: only what has changed is asked for; with 1 besides a real UR10e's load of 2.805 kg is 2.66 +- 0.21 and 3.05 +- 0.19 kg"),
+    Threshold("AS_BEFORE", "torque that a model leaves of a joint, over what it leaves of its own recordings, up to which nothing changed there", "",
+              "chosen: other motions of one real small arm leave 0.8 to 1.4 times as much"),
     Threshold("PLAY_SURE", "standard errors that a gear's play must exceed", "",
               "chosen: every joint with a second encoder is asked"),
     Threshold("PLAY_LOWERED", "held-out error of the angle behind the gear that its play lowers", "%",

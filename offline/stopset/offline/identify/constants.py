@@ -110,7 +110,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("nominal", nominal, "DELAY_TRUSTED LOAD_PASSES"),
     ("open loop", open_loop, "DIRECTION_WIDTH SPEED_LIMIT"),
     ("output error", output_error, "VELOCITY_TIME ITERATIONS STARTS FEW FAR PROGRESS UNDETERMINED NOT_FELT USUAL_TIME"),
-    ("parameter uncertainty", parameter_uncertainty, "ERRORS SHARE STATES SPAN"),
+    ("parameter uncertainty", parameter_uncertainty, "DIGITS ERRORS FELT SHARE STATES SPAN"),
     ("physical", physical, "MARGIN SMALL FAR FEASIBLE NEAR"),
     ("prior", prior, "IDENTIFICATION LIGHT CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
+
 from stopset.artifact import Domain, Model, Revision, UncertaintySets
 from stopset.offline.abstraction.metrics import STOP_TIME, Figures
 from stopset.offline.abstraction.nominal_part import NominalPart
@@ -15,12 +17,14 @@ from stopset.offline.brakes.data_sheet import assumed_brakes
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.survey import Survey, Tally
+from stopset.offline.compare.known import rms_left
 from stopset.offline.conform.bands import band_sets
 from stopset.offline.conform.gather import RetainedSums, SetForm, Sums, set_problem
 from stopset.offline.conform.guarantee import union
 from stopset.offline.conform.linear_sets import ConformedSets, conform, few_motions
 from stopset.offline.conform.tightness import Tightness, of_tube
 from stopset.offline.description.agreement import held_to_pinocchio
+from stopset.offline.diagnose.question import in_time
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.signals_file import RetainedSignals
@@ -28,7 +32,7 @@ from stopset.offline.nominal.parameter_uncertainty import notes as uncertainty_n
 from stopset.offline.nominal.parameter_uncertainty import widened
 from stopset.progress import Progress
 from stopset.reach.flowpipe import deviation_tube
-from stopset.recording import Meta, Recording
+from stopset.recording import Meta, Recording, Recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +111,17 @@ def packed(
         provenance=_provenance(run, nominal), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *uncertainty_notes(seen, result.sets, robot.joints), *notes, *said),
     )  # fmt: skip
+    model = _with_own_error(model, run)
     return Identification(model, result, found, run.settings, tightness, tuple(o.says for o in odd if o.grave))
+
+
+def _with_own_error(model: Model, run: Run) -> Model:
+    """With the torque that the model leaves of its own recordings: where it leaves no more of others, nothing has changed."""
+    if model.effort == "compensated_torque":
+        return model
+    own = Recordings(run.meta, tuple(run.survey.sample))
+    left = rms_left(model, in_time(own, model, run.survey.low_pass, model.provenance["taken_out"]).trials)
+    return replace(model, provenance={**model.provenance, "left_of_own_Nm": [float(x) if np.isfinite(x) else None for x in left]})
 
 
 def stopped(found: Identification, stops: Sequence[Recording], progress: Progress) -> Identification:
@@ -151,6 +165,7 @@ def _provenance(run: Run, nominal: NominalPart) -> dict[str, Any]:
         "chosen": [g.name for g in nominal.chosen],
         "taken_out": list(nominal.taken_out),
         "friction_covariance": nominal.friction_covariance,
+        "left_open": nominal.left_open.tolist(),
         "description_read_again": asdict(held_to_pinocchio(robot)),
         "clock": "resampled to the grid" if found.irregular else meta.clock,
     }

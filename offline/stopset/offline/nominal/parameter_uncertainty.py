@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from stopset.artifact import UncertaintySets
+from stopset.effects.selection import base
 from stopset.effects.signals import Samples, arm_signals
 from stopset.offline.nominal import Nominal
 from stopset.recording import Recording
@@ -26,6 +27,8 @@ ERRORS = 2.0  # standard errors that a torque set holds at least
 SHARE = 0.95  # of the recombined states at which it does
 STATES = 400  # recombined states looked at
 SPAN = 0.1  # [s] over which accelerations are taken
+FELT = 0.1  # of the torque that the model leaves: what its numbers leave open by less is not worth a word
+DIGITS = 5
 
 
 def recombined(sample: Iterable[Recording]) -> tuple[Array, Array, Array]:
@@ -58,6 +61,41 @@ def of_regression(robot: Robot, nominal: Nominal, sample: Sequence[Recording]) -
         variance = np.einsum("ka,ab,kb->k", X, nominal.covariance[np.ix_(at, at)], X)
         out[j] = ERRORS * np.sqrt(np.quantile(variance, SHARE))
     return out
+
+
+def left_open(robot: Robot, nominal: Nominal, sample: Sequence[Recording]) -> Array:
+    """(13 n, k) what the recordings leave open of the nominal model's own numbers: links' parameters (10 n), rotors, Coulomb and viscous
+    friction (n each) may be off together along each column, one standard deviation.
+
+    A joint's numbers err against each other, and those of a body that was hardly moved are the description's, so this is told as a whole: other
+    motions than these show it, and it is no change of the arm.  Columns whose torque is `FELT` at states as they were recorded, recombined.
+    """
+    q, dq, ddq = recombined(sample)
+    n = robot.n
+    friction = [[_place(nominal, j, name) for j in range(n)] for name in base()]
+    at = np.concatenate([np.arange(11 * n), *friction]).astype(np.intp)
+    covariance = nominal.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+    w, V = np.linalg.eigh(covariance / np.outer(size, size))
+    F = size[:, None] * V * np.sqrt(np.maximum(w, 0.0))
+    Y = regressors(robot.chain, q, dq, ddq)
+    felt = np.zeros((F.shape[1], F.shape[1]))
+    for j in range(n):
+        torque = (
+            Y[:, j] @ F[: 10 * n] + ddq[:, [j]] * F[10 * n + j] + np.sign(dq[:, [j]]) * F[11 * n + j] + dq[:, [j]] * F[12 * n + j]
+        )
+        felt += torque.T @ torque / (len(q) * max(float(nominal.rms[j]), 1e-9) ** 2)
+    share, turn = np.linalg.eigh(felt)
+    F = (F @ turn)[:, share > FELT**2]
+    scale = 10.0 ** (DIGITS - 1 - np.floor(np.log10(np.maximum(np.abs(F), 1e-300))))
+    return np.asarray(np.round(F * scale) / scale)
+
+
+def _place(nominal: Nominal, joint: int, effect: str) -> int:
+    """Where the number of a joint's ``effect`` stands among all parameters."""
+    layout = nominal.data.layout
+    at = layout.index(joint)[10 * layout.n + 1 :]
+    return next(int(k) for k, c in zip(at, layout.columns[joint], strict=True) if c.effect.name == effect)
 
 
 def of_lags(std: Array, sample: Sequence[Recording]) -> Array:

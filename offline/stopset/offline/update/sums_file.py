@@ -126,6 +126,7 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Retained
         model.robot, model.rotor, model.effects, model.abstraction, tuple(head["notes"]), data, np.array(head["doubt"], float),
         unseen=head["unseen"], inertia_std=model.inertia_std, rotors_shown=model.rotors_shown, taken_out=tuple(model.provenance.get("taken_out", ())),
         friction_covariance=model.provenance.get("friction_covariance", {}),
+        left_open=np.array(model.provenance.get("left_open", []), float),
     )  # fmt: skip
     meta = meta_of(head["meta"])
     dt = float(head["dt"])

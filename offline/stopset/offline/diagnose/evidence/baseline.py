@@ -49,7 +49,9 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
                 friction[at], error[at] = f.values[symbol], f.std.get(symbol) or 0.0
     robot = replace(model.robot, drives=drives)
     gain, std, notes = drive_gain(described, robot, model.domain.q)
-    return Baseline(robot, Known(friction, error, gain, std), "identified model", notes)
+    left_open = np.array(model.provenance.get("left_open", []), float)
+    left = np.array(model.provenance.get("left_of_own_Nm", []), float)
+    return Baseline(robot, Known(friction, error, gain, std, left_open=left_open, own=left), "identified model", notes)
 
 
 def own(model: Model, meta: Meta) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.effects import Effect
 from stopset.offline.campaign.hold_out import FOLDS
@@ -50,6 +51,8 @@ class Engine:
     size: int  # columns in all; column 0 is y
     scales: tuple[float, ...]  # how far links and rotors may be off, for evidence to choose from
     rotor_scales: tuple[float, ...]
+    left_open: Array  # (13 n, k) links, rotors, friction along what a model left open of itself; its columns are the base's last
+    as_before: NDArray[np.bool_]  # (n,) joints where a model holds as well as of its own recordings
     lag_std: float  # [s] how far off the lag is that was taken out of all joints' torque before; 0: none was
     _level: dict[int, float] = field(default_factory=dict)
     _drowned: dict[int, bool] = field(default_factory=dict)
@@ -79,7 +82,7 @@ class Engine:
         taken_off = np.isfinite([drive.rotor_inertia for drive in robot.drives]) & (not compensated)
         sd[own[:, 0]] = np.where(taken_off, np.maximum(tol.rotor * robot.rotor, 1e-3), np.inf)
         sd[own[:, 4]] = limit.STAMPS * data.kernel.dt  # a torque held over a sample acts half a sample later than its stamp
-        friction, grams = np.zeros((n, 2)), []
+        friction, grams, whole = np.zeros((n, 2)), [], []
         for j in range(n):
             X = base_columns(source, rows[j])
             if known:
@@ -87,8 +90,14 @@ class Engine:
                 X[:, 0] -= X[:, -4:-2] @ known.friction[j]
             off = known.friction[j] if known else np.zeros(2)
             friction[j] = first_friction(X, np.concatenate([sd[base] * 10, sd[-1:], sd[own[j]]]), off)
+            whole.append(X)
+        left_open = _seen(known.left_open, whole) if known and known.left_open.size else np.zeros((13 * n, 0))
+        beside = 2 + 15 * n + np.arange(left_open.shape[1])
+        sd = np.concatenate([sd, np.ones(len(beside))])
+        for j, X in enumerate(whole):
             f = rows[j].column(np.stack([data.direction[:, j], data.dq[:, j]], axis=1) * friction[j])
-            index = np.concatenate([[0], base, [1 + 15 * n], own[j]]).astype(np.intp)
+            index = np.concatenate([[0], base, [1 + 15 * n], own[j], beside]).astype(np.intp)
+            X = np.column_stack([X, _along(left_open, X, j)])
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
         source.set_friction(friction)
         return Engine(
@@ -105,9 +114,11 @@ class Engine:
             own[:, 0].astype(np.intp),
             own[:, 4].astype(np.intp),
             1 + 15 * n,
-            2 + 15 * n,
+            2 + 15 * n + len(beside),
             scales,
             (1.0,) if known else limit.ROTOR_SCALES,
+            left_open,
+            known.as_before if known else np.zeros(n, bool),
             before.lag_std,
         )
 
@@ -221,10 +232,37 @@ class Engine:
     def update_source(self, theta: Array) -> None:
         """Let columns that need the arm as it is, not as described, use the base model of a fit; ``theta``: of `Hypothesis.nuisance`."""
         n = self.data.n
-        own = theta[10 * n : 15 * n].reshape(n, 5)
-        self.source.set_fit(theta[: 10 * n], own[:, :3] + np.column_stack([self.robot.rotor, self.taken_off]))
+        own = theta[10 * n : 15 * n].reshape(n, 5)[:, :3] + self._open_by(theta)[10 * n :].reshape(3, n).T
+        self.source.set_fit(self.body(theta), own + np.column_stack([self.robot.rotor, self.taken_off]))
         self._made.clear()
         self._columns.clear()
+
+    def body(self, theta: Array) -> Array:
+        """(10 n,) how far a fit has the links off what was known of them; ``theta``: of `Hypothesis.nuisance`."""
+        n = self.data.n
+        return np.asarray(theta[: 10 * n] + self._open_by(theta)[: 10 * n])
+
+    def _open_by(self, theta: Array) -> Array:
+        """(13 n,) the part of it that the model had left open."""
+        first = 1 + 15 * self.data.n
+        return np.asarray(self.left_open @ theta[first : first + self.left_open.shape[1]])
+
+
+def _along(directions: Array, X: Array, joint: int) -> Array:
+    """(K, k) a joint's whitened columns along ``directions`` (13 n, k) of its base model; ``X``: of `base_columns`."""
+    n = len(directions) // 13
+    of_joint = directions[10 * n + joint :: n][:3]
+    return np.asarray(X[:, 1 : 1 + 10 * n] @ directions[: 10 * n] + X[:, -5:-2] @ of_joint)
+
+
+def _seen(left_open: Array, columns: Sequence[Array]) -> Array:
+    """What a model left open and these rows would see: turned so that the directions show independently, each beyond the noise."""
+    shown = np.zeros((left_open.shape[1],) * 2)
+    for j, X in enumerate(columns):
+        W = _along(left_open, X, j)
+        shown += W.T @ W
+    size, turn = np.linalg.eigh(shown)
+    return np.asarray((left_open @ turn)[:, size > 1.0])
 
 
 def _motions(data: Prepared) -> dict[Any, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.nominal.prior import Tolerance
@@ -18,7 +19,9 @@ class Known:
 
     ``friction, error``: (n, 2) Coulomb and viscous coefficients and the model's own error of them; ``spread``: how far they drift
     from day to day, relative; ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the
-    rigid body may be off, as `SCALES` of the thresholds.
+    rigid body may be off, as `SCALES` of the thresholds; ``left_open`` (13 n, k): what the model's own recordings left open of it, see
+    `stopset.offline.nominal.parameter_uncertainty.left_open`; ``own`` (n,) [N m]: torque that the model leaves of its own recordings, nan
+    where it does not say, and ``now`` (n,): of those that are asked.
     """
 
     friction: Array
@@ -27,11 +30,21 @@ class Known:
     gain_std: float = field(default_factory=lambda: limit.DRIVES)
     spread: float = field(default_factory=lambda: limit.DRIFT)
     scales: tuple[float, ...] = field(default_factory=lambda: limit.KNOWN_SCALES)
+    left_open: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    own: Array = field(default_factory=lambda: np.zeros(0))
+    now: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def deviation(self) -> Array:
         """(n, 2) how far the friction may be off the model's today: no model is truer than its own error."""
         return np.hypot(self.spread * self.friction, self.error)
+
+    @property
+    def as_before(self) -> NDArray[np.bool_]:
+        """(n,) joints of whose torque the model leaves no more here than of its own recordings: it holds there as it did."""
+        if self.own.shape != self.now.shape or not len(self.own):
+            return np.zeros(len(self.friction), bool)
+        return np.asarray(self.now <= limit.AS_BEFORE * self.own)
 
 
 @dataclass(frozen=True, slots=True)
