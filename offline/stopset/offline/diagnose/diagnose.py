@@ -35,6 +35,7 @@ SINGLE = (
 )
 LEAVES_TOO_MUCH = "it explains a part, and leaves too much to be the cause"
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
+ALREADY = " The model has it already: identification chose it."
 
 
 def diagnose(
@@ -141,7 +142,7 @@ def diagnose_model(
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
-        return tuple(replace(r, in_model=r.label in chosen) for r in ranked)
+        return tuple(replace(r, in_model=True, says=r.says + ALREADY) if r.label in chosen else r for r in ranked)
 
     found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), alternatives=marked(found.alternatives))
     found = replace(found, taken_out=q.taken_out, notes=(*without, *q.notes, *found.notes))

@@ -42,7 +42,8 @@ class Inquiry:
     """``recordings`` as they are asked, against ``robot`` and, of other recordings than the model's own, what is ``known`` of it.
 
     ``held``: suites that are not asked, because a model's sets are judged on them; ``fitted``: effects that stand beside every
-    hypothesis; ``against``, ``notes``: for people; ``taken_out``: what was taken off before anything was asked.
+    hypothesis; ``against``, ``notes``: for people; ``taken_out``: what was taken off before anything was asked; ``chosen``: laws that
+    identification chose in these recordings.
     """
 
     robot: Robot
@@ -53,11 +54,12 @@ class Inquiry:
     against: str
     notes: tuple[str, ...] = ()
     taken_out: tuple[Mapping[str, Any], ...] = ()
+    chosen: tuple[str, ...] = ()
 
     @property
     def before(self) -> Beforehand:
         """What is known of the recordings before they are asked."""
-        return Beforehand(None, self.known, taken_std(self.asked, self.taken_out))
+        return Beforehand(None, self.known, taken_std(self.asked, self.taken_out), self.chosen)
 
     @property
     def asked(self) -> Recordings:
@@ -91,7 +93,7 @@ def question(model: Model, recordings: Recordings) -> Inquiry:
         known = replace(known, now=rms_left(model, [r for r in prepared if moves(r) and r.suite_key not in held]))
     return Inquiry(
         base.robot, prepared, held, settled(model) if own else model.effects, known,
-        base.against, (*base.notes, *late, *filtered), taken_out,
+        base.against, (*base.notes, *late, *filtered), taken_out, tuple(model.provenance.get("chosen", ())) if own else (),
     )  # fmt: skip
 
 

@@ -103,20 +103,24 @@ def _revision(
     that is wider is identified again with laws among those that there are without it.
     """
     robot = model.robot.as_described
-    progress("identifying the new revision")
-    found = identified(robot, campaign, verdict.settings, progress, known=verdict.known, keep=keep)
+
+    def revision(settings: Settings) -> tuple[Identification, str]:
+        """What is identified so, and why it is refused."""
+        found = identified(robot, campaign, settings, progress, known=verdict.known, keep=keep)
+        wrong = widened(before, found.model.revisions[-1].after) or risen(model, found.model, verdict.judged)
+        return found, "" if force else wrong
+
     without: Model | None = model
     if not own(model, campaign.meta):
         progress("identifying these recordings without it")
         without = _plain(model, campaign)
     before = _figures(model, without)
-    refused = "" if force else widened(before, found.model.revisions[-1].after)
-    among, chosen = (() if m is None else tuple(m.provenance.get("chosen", ())) for m in (without, found.model))
-    if refused and not set(chosen) <= set(among):
+    progress("identifying the new revision")
+    found, refused = revision(verdict.settings)
+    chosen = () if without is None else tuple(without.provenance.get("chosen", ()))
+    if refused and not set(found.model.provenance.get("chosen", ())) <= set(chosen):
         progress("identifying it with the friction that there is without it")
-        alike = replace(verdict.settings, friction_among=among)
-        found = identified(robot, campaign, alike, progress, known=verdict.known, keep=keep)
-        refused = widened(before, found.model.revisions[-1].after)
+        found, refused = revision(replace(verdict.settings, friction_among=chosen))
     return found, without, refused
 
 
@@ -150,6 +154,28 @@ def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
         f"the widths of U would grow from {a:.3g} to {b:.3g} N m in sum; expected no more than {limit.WIDER:.0%}, for what is known of an "
         "arm cannot make it less certain: are these recordings all of one condition (payload, tool, day)? give the others apart"
     )
+
+
+def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> str:
+    """Why a revision of the same recordings is refused whose torque error rises at a joint of what is added; empty where it does not.
+
+    What judges an effect leaves the laws in question that identification chose itself; beside these it may explain nothing more, or take the
+    place of one that explains more.  Those laws themselves may be added: they become a revision of their own, with the diagnosis' numbers.
+    """
+    chosen = model.provenance.get("chosen", ())
+    names = [x.name for x in judged if not x.why and x.name not in chosen]
+    if not names or dict(model.provenance.get("data", {})) != dict(revised.provenance.get("data", {})):
+        return ""
+    before, after = (dict(zip(m.joints, m.provenance.get("left_of_own_Nm") or (), strict=False)) for m in (model, revised))
+    for j in dict.fromkeys(x for name in names for x in parse_effect(name, model.robot)[1]):
+        a, b = before.get(j), after.get(j)
+        if a is not None and b is not None and b > (1.0 + limit.RISES) * a:
+            laws = ", ".join(x for x in chosen if j in x.partition(":")[2].split("+"))
+            return (
+                f"the torque that the model leaves of {j} would rise from {a:.3g} to {b:.3g} N m in these recordings; expected it to fall: "
+                + (f"the model has {laws} there already" if laws else "what the model has there already explains more")
+            )
+    return ""
 
 
 def _names(effects: Sequence[str], robot: Robot, settings: Settings) -> tuple[str, ...]:

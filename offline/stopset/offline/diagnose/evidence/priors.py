@@ -49,12 +49,13 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Beforehand:
-    """What is known before recordings are asked: the description's ``tolerance``, a model's ``known``, and ``lag_std`` [s], how far off the
-    lag is that was taken out of all joints' torque, 0 where none was."""
+    """What is known before recordings are asked: the description's ``tolerance``, a model's ``known``, ``lag_std`` [s], how far off the
+    lag is that was taken out of all joints' torque, 0 where none was, and the laws ``effect:joint`` that identification had ``chosen`` in them."""
 
     tolerance: Tolerance | None = None
     known: Known | None = None
     lag_std: float = 0.0
+    chosen: tuple[str, ...] = ()
 
 
 def link_tolerance(robot: Robot, tol: Tolerance) -> Array:

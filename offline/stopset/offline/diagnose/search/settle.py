@@ -31,7 +31,8 @@ def settle(
     not quite true, as one with levers of its own does that is `distinct`.  One that explains the rows with numbers that it cannot have,
     as a spring that pushes, gives way to the likeliest that need not, but to no finer form of itself.  One to none of whose numbers the
     rows give a size, as two terms and levers that bend into any curve, gives way to the likeliest of those that have one and lack less
-    than a claim's evidence.  A finer law that does not lower the held-out error of its plainer form, as any claim must, is not named for it.
+    than a claim's evidence.  A finer law that does not lower the held-out error of its plainer form, as any claim must, is not named for it,
+    nor another law at the joint of one that the model has, for that one.
     """
     first = refitted(now, best[0], hyper)
     lacks = [first.taken_up * _touch(s.candidate, first.candidate) + limit.THRESHOLD for s in best]
@@ -54,6 +55,7 @@ def settle(
         near_it = (x for x in settled if x.possible and x.evidence > top.evidence - limit.THRESHOLD and x.weighed)
         top = max(near_it, key=lambda x: x.evidence, default=top)
     top = max((x for x in settled if _leaves_as_little(x, top)), key=lambda x: x.evidence, default=top)
+    top = max((x for x in settled if _stays(x, top)), key=lambda x: x.evidence, default=top)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
 
 
@@ -62,10 +64,29 @@ def _leaves_as_little(plainer: Settled, top: Settled) -> bool:
 
     Evidence of many rows is large for a form that is off by what no prediction shows.
     """
-    if not (refines(top.candidate, plainer.candidate) and plainer.possible and plainer.weighed):
+    return refines(top.candidate, plainer.candidate) and plainer.weighed and _lowers_too_little(top, plainer)
+
+
+def _stays(own: Settled, top: Settled) -> bool:
+    """Whether a law that identification chose in these recordings stays: the ``top`` one at its joint leaves as much of what was not fitted.
+
+    To name the other one would take out of the model a law that explains as much.
+    """
+    a, b = own.candidate, top.candidate
+    return (
+        a.key in top.now.engine.chosen
+        and b.key not in top.now.engine.chosen
+        and a.joints == b.joints
+        and _lowers_too_little(top, own)
+    )
+
+
+def _lowers_too_little(top: Settled, other_law: Settled) -> bool:
+    """Whether ``top`` does not lower the held-out error of another law at its joint by what a claim must."""
+    if not other_law.possible:
         return False
     (j,) = top.candidate.joints
-    finer, other = held_out(top.now, top.hyper), held_out(plainer.now, plainer.hyper)
+    finer, other = held_out(top.now, top.hyper), held_out(other_law.now, other_law.hyper)
     shares = (1.0 - x[j] / max(float(y[j]), 1e-12) for x, y in ((finer.whole, other.whole), (finer.within, other.within)))
     return all(share <= limit.LOWERED for share in shares)
 
