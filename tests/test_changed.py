@@ -19,8 +19,9 @@ from stopset.offline.campaign.survey import survey
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.changes import changes
-from stopset.offline.diagnose.diagnose import SINCE, answered
+from stopset.offline.diagnose.answer import Parameter, Ranked
+from stopset.offline.diagnose.changes import Change, changes
+from stopset.offline.diagnose.diagnose import SINCE, _with_changes, answered
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.examination import examine
 from stopset.offline.diagnose.levels import ColumnLevel, level_changes
@@ -184,6 +185,18 @@ def test_what_a_model_left_open_of_itself_is_no_load(seed: int) -> None:
     assert (
         answered(examine(asked.robot, asked.asked, asked.fitted, silent_model)).ranked[0].effect == "payload"
     )  # the trouble it has
+
+
+def test_of_changes_beside_what_is_missing_a_handful_is_told(program: Pair) -> None:
+    """Of a small real arm with a load seven levels "changed" beside it, the scale of all torque by a third: the load in other words."""
+    asked = question(program.model, _logged(program.scenario, LATER))
+    x = examine(asked.robot, asked.asked, asked.fitted, asked.before)
+    x.engine.as_before = np.zeros(program.model.n, bool)
+    load = Ranked("payload", (), 100.0, 1.0, 0.5, {"m": Parameter(2.0, "kg", 0.1)}, "", "")
+    levels = [Change("coulomb", j, "F_c", "N m", 1.0, 2.0, 0.1, 1.0, 0.5, j) for j in program.model.joints]
+    scale = Change("torque_gain", None, "e", "1", 0.0, 0.3, 0.01, 1.0, 0.5, program.model.joints[0])
+    told = _with_changes(x, replace(answered(x), verdict="missing", ranked=(load,)), [scale, *levels, *levels]).changed
+    assert len(told) == limit.HANDFUL - 1 and all(c.joint for c in told)
 
 
 def test_worn_gears_are_told_from_a_program_of_few_speeds(program: Pair) -> None:

@@ -94,7 +94,7 @@ def test_along_a_path_the_arm_is_held_and_goes_no_farther_than_told(name: str) -
 def test_stops_bred_towards_a_bound_along_a_path_stay_within_it() -> None:
     """A part of benchmarks/stops_attack_paths.py: a recorded path, an arm with an eccentric code disc, drives hardly strong enough."""
     asked = argparse.Namespace(seed=6, effect=[], rounds=2, count=6)
-    name, found = attacked_path(16, asked)
+    name, found = attacked_path(50, asked)
     assert "encoder_eccentricity" in name and "recorded" in name
     assert found is not None and found.stops == 12 and found.nearest > 0.9 and found.wrong == ()
 

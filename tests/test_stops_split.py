@@ -9,15 +9,14 @@ import numpy as np
 
 from stop_sampling import sample_stops, tightness
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.compiled import CompiledStops
 from stopset.reach.stops.split import FIELDS, REWARD, TRIALS, certify, harm_of, nearer
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Plant, Tube
-from stopset.reach.stops.tubes import FAST_KNOTS, Knots, march_box, tubes_of
+from stopset.reach.stops.tubes import Knots, march_box, tubes_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import shipped
-from stop_arms_wide import cobot7_like, random_arm
+from stop_arms_wide import random_arm
 
 PIECES, LASTS = 64, 0.3
 
@@ -118,19 +117,3 @@ def test_a_tube_of_joint_speeds_stays_where_the_energy_lets_the_arm_go_farther()
     march = Farther(widest=1.0, falls=False)
     (tube,) = cut(march)
     assert not nearer(march, march.setting.plant, tube).energetic and march.energetic == 1
-
-
-def test_bands_that_fed_on_each_other_a_little_are_held_against_the_energy() -> None:
-    """A box of the cobot that joint speeds close, with a band 0.4 rad/s wider than any joint was fast: the core tells less."""
-    model = cobot7_like()
-    rated, n, rng = model.domain.payload[1], model.n, np.random.default_rng(5)
-    setting = StopBounds.of(model, (0.98 * rated, rated)).setting
-    assert setting is not None
-    q, dq = [(rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi) for _ in range(10)][-1]
-    box, noise = (np.full(n, 0.01), np.full(n, 0.05)), setting.noise.radius
-    start = Start(q, dq, noise[:n] + box[0], noise[n:] + box[1])
-    tube = march_box(setting, setting.plant, start, energetic=False, knots=FAST_KNOTS)
-    found = CompiledStops.of(setting).bound(q, dq, "0", *box)
-    assert tube.end == OK and found is not None
-    assert 0.1 < (tube.v_hi - tube.v_lo).max() - np.abs([tube.v_lo[0], tube.v_hi[0]]).max() < 0.5
-    assert max(found.forward.max(), found.back.max()) < 0.9 * max(tube.d_hi.max(), -tube.d_lo.min())

@@ -19,7 +19,7 @@ from stopset.types import Array
 FIELDS = ("delay", "rise", "brake")
 TRIALS = 15  # tubes that are tried while none comes to rest
 REWARD = 3  # more for each that does: cutting then helps
-BLURRED = 0.1  # [rad/s] by which a band of speeds may be wider than the fastest joint was before the energy is asked too
+BLURRED = 0.5  # [rad/s] by which a band of speeds may be wider than the fastest joint was before the energy is asked too
 
 
 def harm_of(plant: Plant, q: Array, lasts: float) -> Array:

@@ -182,7 +182,9 @@ def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -
     if not changed:
         return found
     if found.verdict == "missing":
-        return replace(found, changed=tuple(changed))
+        # a load that is named and a scale of all torque are one question; and of what is told at all a handful is enough
+        beside = [c for c in changed if c.joint or not any(get(r.effect).carried for r in found.ranked)]
+        return replace(found, changed=tuple(beside[: max(0, limit.HANDFUL - len(found.ranked))]))
     ranked = tuple(_as_ranked(c) for c in changed)
     undecided = tuple(r for r in ranked if r.alternatives)
     left = tuple(_beside(u, changed) for u in found.unexplained)

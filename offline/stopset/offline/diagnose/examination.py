@@ -206,7 +206,9 @@ def _of_the_structure(found: Found, claim: Claim) -> str:
     c = claim.scored.candidate
     if c.effect.role != "swing":
         return ""
-    where = may_sit_at(found.now.without(c.key), c, found.hyper)
+    base = found.now.without(c.key)
+    says = found.now.evidence(found.hyper) - base.evidence(base.fit(found.hyper)[0])
+    where = may_sit_at(base, c, says, found.hyper)
     return (
         f"a flexible structure explains more: a pedestal that rocks or a link that bends (it may sit at {' or at '.join(where)})"
         if where

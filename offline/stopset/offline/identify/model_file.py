@@ -111,17 +111,20 @@ def packed(
         provenance=_provenance(run, nominal), revisions=(Revision(0, "", {}, total),),
         notes=(*meta.warnings, *robot.notes, *nominal.notes, *uncertainty_notes(seen, result.sets, robot.joints), *notes, *said),
     )  # fmt: skip
-    model = _with_own_error(model, run)
+    model = _with_own_error(model, run, nominal)
     return Identification(model, result, found, run.settings, tightness, tuple(o.says for o in odd if o.grave))
 
 
-def _with_own_error(model: Model, run: Run) -> Model:
+def _with_own_error(model: Model, run: Run, nominal: NominalPart) -> Model:
     """With the torque that the model leaves of its own recordings: where it leaves no more of others, nothing has changed."""
     if model.effort == "compensated_torque":
         return model
-    own = Recordings(run.meta, tuple(run.survey.sample))
-    left = rms_left(model, in_time(own, model, run.survey.low_pass, model.provenance["taken_out"]).trials)
-    return replace(model, provenance={**model.provenance, "left_of_own_Nm": [float(x) if np.isfinite(x) else None for x in left]})
+    left = nominal.left_of_own
+    if left is None:
+        own = Recordings(run.meta, tuple(run.survey.sample))
+        rms = rms_left(model, in_time(own, model, run.survey.low_pass, model.provenance["taken_out"]).trials)
+        left = tuple(float(x) if np.isfinite(x) else None for x in rms)
+    return replace(model, provenance={**model.provenance, "left_of_own_Nm": list(left)})
 
 
 def stopped(found: Identification, stops: Sequence[Recording], progress: Progress) -> Identification:

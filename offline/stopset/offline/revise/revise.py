@@ -159,11 +159,13 @@ def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
 def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> str:
     """Why a revision of the same recordings is refused whose torque error rises at a joint of what is added; empty where it does not.
 
-    What judges an effect leaves the laws in question that identification chose itself; beside these it may explain nothing more, or take the
-    place of one that explains more.  Those laws themselves may be added: they become a revision of their own, with the diagnosis' numbers.
+    Of friction that does not warm up: what else there is is not all in that error.  What judges an effect leaves the laws in question that
+    identification chose itself; beside these it may explain nothing more, or take the place of one that explains more.  Those laws themselves
+    may be added: they become a revision of their own, with the diagnosis' numbers.
     """
     chosen = model.provenance.get("chosen", ())
-    names = [x.name for x in judged if not x.why and x.name not in chosen]
+    laws_of = {x.name: parse_effect(x.name, model.robot)[0] for x in judged if not x.why and x.name not in chosen}
+    names = [name for name, e in laws_of.items() if e.role == "friction" and "warm" not in e.needs]
     if not names or dict(model.provenance.get("data", {})) != dict(revised.provenance.get("data", {})):
         return ""
     before, after = (dict(zip(m.joints, m.provenance.get("left_of_own_Nm") or (), strict=False)) for m in (model, revised))

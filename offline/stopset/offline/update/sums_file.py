@@ -127,6 +127,7 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Retained
         unseen=head["unseen"], inertia_std=model.inertia_std, rotors_shown=model.rotors_shown, taken_out=tuple(model.provenance.get("taken_out", ())),
         friction_covariance=model.provenance.get("friction_covariance", {}),
         left_open=np.array(model.provenance.get("left_open", []), float),
+        left_of_own=tuple(model.provenance.get("left_of_own_Nm", ())),
     )  # fmt: skip
     meta = meta_of(head["meta"])
     dt = float(head["dt"])

@@ -13,7 +13,7 @@ enum { ALIKE_KNOTS = STOPSET_STOP_ALIKE_KNOTS, ALIKE_CLOSING = STOPSET_STOP_ALIK
 enum { PATIENCE = STOPSET_STOP_PATIENCE, MORE_PATIENCE = STOPSET_STOP_MORE_PATIENCE, SLICES = STOPSET_STOP_SLICES };
 enum { REGIONS = 5, COARSE = 4 }; /* that a tube is tried in; times fewer knots of the tube that finds one */
 enum { LONG = KNOTS * PATIENCE + CLOSING, LONG_ENERGY = ALIKE_KNOTS * MORE_PATIENCE + ALIKE_CLOSING, STEPS = LONG > LONG_ENERGY ? LONG : LONG_ENERGY };
-static const double BLURRED = 0.1, HAIR = 1e-9; /* [rad/s] by which a band is wider than the fastest joint was; [rad] of a way, at least */
+static const double BLURRED = 0.5, HAIR = 1e-9; /* [rad/s] by which a band is wider than the fastest joint was; [rad] of a way, at least */
 static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone, or wider than it */
 
 int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + SLICES * (7 * n + 6 * n + 8) + 1; }

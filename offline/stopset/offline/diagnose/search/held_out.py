@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stopset.offline.campaign.hold_out import BLOCK, FOLDS, GUARD
+from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import JointGram, project
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
@@ -51,8 +52,10 @@ def held_out(now: Hypothesis, hyper: Hyper) -> HeldOut:
     engine, view = now.engine, now.view()
     n = engine.data.n
     if few_motions(engine):
-        whole, halves = (_left_out(now, hyper, [each(engine, j) for j in range(n)]) for each in (by_time, by_half))
-        return HeldOut(whole, whole, halves)
+        whole = _left_out(now, hyper, [by_time(engine, j) for j in range(n)])
+        if len(engine.data.trials) >= limit.SCATTERED:
+            return HeldOut(whole, whole)
+        return HeldOut(whole, whole, _left_out(now, hyper, [by_half(engine, j) for j in range(n)]))
     square, inner, count = np.zeros(n), np.zeros(n), np.zeros(n)
     for fold in range(FOLDS):
         G, _ = view.total(hyper, np.arange(FOLDS) != fold)

@@ -18,17 +18,17 @@ FINER = (1.15, 1.0 / 1.15, 1.07, 1.0 / 1.07)  # times the best of them
 LIGHTLY = 0.1  # damping of the search, of the root of stiffness times inertia
 
 
-def may_sit_at(now: Hypothesis, gear: Candidate, hyper: Hyper) -> tuple[str, ...]:
+def may_sit_at(now: Hypothesis, gear: Candidate, says: float, hyper: Hyper) -> tuple[str, ...]:
     """Where a structure may give that explains more than the claimed ``gear`` by a claim's evidence, likeliest first.
 
-    ``now``: the model without it.  Both are asked with the swing that their description alone gives: what only a certain gear is given, its true
-    swing and beginnings, would be an advantage.
+    ``now``: the model without it; ``says``: the evidence that the gear adds to that.  A structure is asked at all joints with the swing that its
+    description alone gives.  A gear so, too, at its own; as claimed it shakes the joints beside it.
     """
     (j,) = gear.joints
     M, K = float(np.median(now.engine.source.mass[:, j, j])), gear.shapes["K"]
     damped = (gear.shapes["D"], LIGHTLY * float(np.sqrt(K * M)))
     own = [score_new(now, gear.effect, (j,), {"K": K * x, "D": D}, hyper, quick=True) for x in (1.0, *FINER) for D in damped]
-    best = max((s.score for s in own if s is not None), default=-np.inf)
+    best = max(says, *(s.score for s in own if s is not None))
     found = dict[str, float]()
     for place in places(now.engine.robot):
         giving = Giving.of(now.engine.source, place)
