@@ -13,6 +13,7 @@ from dataclasses import replace
 
 from as_found import ONE, PROGRAM, Trouble, recorded
 
+from stopset.errors import RobotError
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import Diagnosis, diagnose
 from stopset.simulation import Scenario, prepare
@@ -47,7 +48,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=40)
     parser.add_argument("--seeds", type=int, default=2)
     args = parser.parse_args()
-    robot = load_robot(args.arm)
+    try:
+        robot = load_robot(args.arm)
+    except RobotError as e:
+        parser.error(str(e))
     count: dict[tuple[str, float, str, float], list[str]] = {}
     for seed in range(args.seed, args.seed + args.seeds):
         s = prepare(robot, ["none"], seed, "short", cad="wrong" if seed % 2 == 0 else "exact")

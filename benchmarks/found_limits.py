@@ -16,6 +16,7 @@ from typing import Any
 
 import found_pairs
 
+from stopset.errors import RobotError
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.scores import scores
@@ -61,6 +62,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         "--healthy", action="store_true", help="the same without the effect: what its law says where it is not there"
     )
     args = parser.parse_args(argv)
+    try:
+        load_robot(args.arm)
+    except RobotError as e:
+        parser.error(str(e))
     for seed in args.seeds:
         a = said(args.arm, seed, weeks=args.weeks, healthy=args.healthy)
         name, most = a["highest"]

@@ -100,6 +100,9 @@ def main() -> None:
     parser.add_argument("--recording", type=Path)
     parser.add_argument("--robot", type=Path)
     args = parser.parse_args()
+    for path in (args.recording, args.robot):
+        if path is not None and not path.is_file():
+            parser.error(f"{path}: no such file; expected a recording and the arm's URDF")
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
     from test_hidden_effects import ARM
 

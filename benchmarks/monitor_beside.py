@@ -71,6 +71,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--core", type=int, default=1)
     args = parser.parse_args()
+    if not (args.other / "benchmarks").is_dir():
+        parser.error(f"{args.other} is no checkout of stopset; expected the folder of another one")
     workers = [started(root.resolve(), args.core, args.rounds) for root in (args.other, HERE)]
     for w in workers:
         assert w.stdout is not None
