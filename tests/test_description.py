@@ -92,6 +92,11 @@ def test_a_part_of_an_arm_by_locked_joints_and_tool_frames_by_name() -> None:
     hand = robot_from_text(ARM, {**FINGERS, "tip": "hand"})
     assert hand.tip == pytest.approx([0.1, 0.0, 0.3])
     assert robot_from_text(ARM, {**FINGERS, "tip": "flange"}).tip == pytest.approx(hand.tip)  # the joint's frame is the link's
+    namesakes = ARM.replace('joint name="flange"', 'joint name="hand"').replace('joint name="elbow"', 'joint name="lower"')
+    for tip in ("hand", "lower"):  # a link and the joint before it
+        assert robot_from_text(namesakes, {**FINGERS, "tip": tip}).tip == pytest.approx(
+            robot_from_text(ARM, {**FINGERS, "tip": tip}).tip
+        )
     camera = robot_from_text(ARM, {"tip": "camera"})
     assert camera.joints == ("shoulder",) and camera.tip == pytest.approx([0.1, 0.0, 0.3])
     assert "elbow, finger_1, finger_2 are beside the chain to camera" in " ".join(camera.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -55,7 +56,27 @@ VALGRIND = ["valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--show
 SOURCES = ("fmu_fuzz2.c", "fmu_fuzz.c")  # of FMI 2 and 3, which a unit's sources are both of
 
 
-def fuzzers(folder: Path, model: Model, *options: str, path: StopPath | None = None) -> list[list[str]]:
+def compiled(command: list[str], unit: str, sources: Path, kept: Path) -> Path:
+    """The object of a unit of ``sources``; one that is the same after the preprocessor, as the core is for all models, is compiled once."""
+    text = subprocess.run([*command, "-E", unit], cwd=sources, check=True, timeout=600, capture_output=True).stdout
+    to = kept / f"{hashlib.sha256(repr(command).encode() + text).hexdigest()}.o"
+    if not to.exists():
+        own = to.with_suffix(f".{os.getpid()}.o")  # other workers compile, too
+        subprocess.run([*command, "-c", unit, "-o", str(own)], cwd=sources, check=True, timeout=600)
+        own.replace(to)
+    return to
+
+
+@pytest.fixture(scope="session")
+def objects(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of compiled units that all workers share."""
+    base = tmp_path_factory.getbasetemp()
+    out = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "fuzzed_objects"
+    out.mkdir(exist_ok=True)
+    return out
+
+
+def fuzzers(folder: Path, objects: Path, model: Model, *options: str, path: StopPath | None = None) -> list[list[str]]:
     """Commands of the unit's own sources with calls in any order, but for seed and number of runs behind the token."""
     gcc = shutil.which("gcc")
     if gcc is None:
@@ -65,14 +86,13 @@ def fuzzers(folder: Path, model: Model, *options: str, path: StopPath | None = N
     with zipfile.ZipFile(folder / "u.fmu") as z:
         z.extractall(folder)
     token = (folder / "modelDescription.xml").read_text().split('instantiationToken="')[1].split('"')[0]
-    units = sorted((folder / "sources").rglob("*.c"))
-    command = [gcc, "-std=c11", "-O1", "-g", "-ffp-contract=off", *options, "-I", str(folder / "sources")]
-    objects = [str(folder / f"{k}.o") for k in range(len(units))]
-    for unit, to in zip(units, objects, strict=True):
-        subprocess.run([*command, "-c", str(unit), "-o", to], check=True, timeout=600)
+    sources = folder / "sources"
+    command = [gcc, "-std=c11", "-O1", "-g", "-ffp-contract=off", *options, "-I", "."]
+    units = [str(compiled(command, str(u.relative_to(sources)), sources, objects)) for u in sorted(sources.rglob("*.c"))]
     out = [str(folder / Path(name).stem) for name in SOURCES]
     for name, to in zip(SOURCES, out, strict=True):
-        subprocess.run([*command, str(Path(__file__).with_name(name)), *objects, "-lm", "-o", to], check=True, timeout=600)
+        fuzzer = str(Path(__file__).with_name(name))
+        subprocess.run([*command, fuzzer, *units, "-lm", "-o", to], cwd=sources, check=True, timeout=600)
     return [[program, token] for program in out]
 
 
@@ -100,11 +120,11 @@ def held_against_python(model: Model, kept: Path) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, own_effect: object) -> None:
+def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, objects: Path, name: str, own_effect: object) -> None:
     """Under the address and undefined-behaviour sanitizers; that of leaks comes with the first."""
     leaks = {**os.environ, "ASAN_OPTIONS": "detect_leaks=1"}
     model = MODELS[name]()
-    for command in fuzzers(tmp_path, model, *SANITIZE, path=PATHS.get(name)):
+    for command in fuzzers(tmp_path, objects, model, *SANITIZE, path=PATHS.get(name)):
         done = subprocess.run(
             [*command, "1", str(CALLS), str(tmp_path / "kept")],
             capture_output=True,
@@ -126,11 +146,11 @@ def test_no_order_of_calls_and_no_value_breaks_it(tmp_path: Path, name: str, own
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
-def test_valgrind_finds_nothing_and_nothing_is_lost(tmp_path: Path, name: str, own_effect: object) -> None:
+def test_valgrind_finds_nothing_and_nothing_is_lost(tmp_path: Path, objects: Path, name: str, own_effect: object) -> None:
     """What no sanitizer sees: numbers that were never set, where they decide."""
     if shutil.which("valgrind") is None:
         pytest.skip("valgrind is not installed")
-    for program in fuzzers(tmp_path, MODELS[name](), path=PATHS.get(name)):
+    for program in fuzzers(tmp_path, objects, MODELS[name](), path=PATHS.get(name)):
         done = subprocess.run(
             [*VALGRIND, *program, "1", str(CALLS_SLOW)], capture_output=True, text=True, timeout=1200, check=False
         )

@@ -16,7 +16,7 @@ from stopset.offline.description.complete import complete, limits
 from stopset.offline.description.enclose import capsules_of
 from stopset.offline.description.meshes import with_mesh_paths
 from stopset.offline.description.outline import Outline, check_joints, last_link, notes_of, outline
-from stopset.offline.description.reduce import axes, check_serial, position_limits, reduced
+from stopset.offline.description.reduce import axes, check_serial, frame_of, position_limits, reduced
 from stopset.robot.arm import Arm, Robot, robot_of
 from stopset.types import Array
 
@@ -115,9 +115,9 @@ def described(urdf: str, sheet: Mapping[str, Any], source: str, folder: Path | N
         light = ", ".join(joints[k] for k in np.flatnonzero(pi[:, 0] <= 0))
         raise RobotError(f"{source}: no mass behind joint {light}; expected <inertial> with a positive mass")
     end = last_link(tree, joints[-1], held) if sheet.get("tip") is None else str(sheet["tip"])
-    tip = np.array(model.frames[model.getFrameId(end)].placement.translation)
+    tip = np.array(frame_of(model, tree.link_of(end)).placement.translation)
     p = np.array([place.translation for place in model.jointPlacements[1:]])
-    without = {model.frames[model.getFrameId(link)].parentJoint - 1 for link in lacking}
+    without = {frame_of(model, link).parentJoint - 1 for link in lacking}
     capsules, bare = capsules_of(geometry, _lines(p, tip), without, tip)
     none = tuple(joints[k] for k in bare)
     return Arm(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -17,6 +18,8 @@ import numpy as np
 from stopset.errors import RobotError
 from stopset.offline.description.outline import Outline
 from stopset.types import Array
+
+LINK = " (link)"  # told apart from the joint of the same name
 
 
 class Reduced(NamedTuple):
@@ -43,8 +46,11 @@ def reduced(urdf: str, tree: Outline, held: Sequence[str], *, collision: bool = 
     pinocchio = library()
     with _heard() as complaints:
         try:
-            model = pinocchio.buildModelFromXML(urdf)
-            geometry = pinocchio.buildGeomFromUrdfString(model, urdf, pinocchio.GeometryType.COLLISION) if collision else None
+            told_apart = _told_apart(urdf)
+            model = pinocchio.buildModelFromXML(told_apart)
+            geometry = (
+                pinocchio.buildGeomFromUrdfString(model, told_apart, pinocchio.GeometryType.COLLISION) if collision else None
+            )
         except (ValueError, RuntimeError) as e:
             complaints.append(str(e))
     if complaints:
@@ -59,6 +65,23 @@ def reduced(urdf: str, tree: Outline, held: Sequence[str], *, collision: bool = 
         else:
             model, geometry = pinocchio.buildReducedModel(model, geometry, locked, at)
     return Reduced(model, geometry)
+
+
+def _told_apart(urdf: str) -> str:
+    """The description with links renamed that a joint shares its name with (a Sawyer's ``right_hand``): pinocchio keeps both in one list."""
+    root = ET.fromstring(urdf)
+    joints = {joint.get("name") for joint in root.iter("joint")}
+    for kind, key in (("link", "name"), ("parent", "link"), ("child", "link")):
+        for element in root.iter(kind):
+            if (name := element.get(key)) in joints:
+                element.set(key, f"{name}{LINK}")
+    return ET.tostring(root, encoding="unicode")
+
+
+def frame_of(model: Any, link: str) -> Any:
+    """The frame of a link."""
+    name = f"{link}{LINK}"
+    return model.frames[model.getFrameId(name if model.existFrame(name) else link)]
 
 
 def check_serial(model: Any, tree: Outline, held: Sequence[str]) -> None:
