@@ -19,6 +19,7 @@ from stopset.recording.clock import anew, evened
 from stopset.recording.ends import sound_part
 from stopset.recording.files import files_of, opened, sha256_of
 from stopset.recording.meta import meta_of
+from stopset.recording.polled import on_its_clock
 from stopset.recording.rows import sound_rows
 from stopset.recording.spikes import without_spikes
 from stopset.recording.types import PHASES, Meta, Recording, Recordings, counted
@@ -102,14 +103,13 @@ def stream_recordings(
 ) -> Iterator[Recording]:
     """Yield the trials of the files one by one, in campaign order, signals in the robot's (or the file's) joint order.
 
-    ``garbled``: with the samples that `without_spikes` leaves out, as a monitor would get them.
+    ``garbled``: with the samples that `on_its_clock` and `without_spikes` leave out, as a monitor would get them.
     Raises `RecordingError` with one sentence for anything that is not a sound recording.
     """
-    trials = _stream(paths, robot)
-    return counted(trials if garbled else map(without_spikes, trials))
+    return counted(_stream(paths, robot, garbled=garbled))
 
 
-def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None) -> Iterator[Recording]:
+def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None, *, garbled: bool) -> Iterator[Recording]:
     place = 0
     for number, path in enumerate(files_of(paths)):
         schema, batches = opened(path)
@@ -127,7 +127,7 @@ def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None) -> It
             seen.add(key)
             r = replace(_trial(path, key, place, columns, joints, meta), file=number)
             _check_trial(path, r, joints, robot)
-            yield sound_part(r)
+            yield sound_part(r) if garbled else without_spikes(on_its_clock(sound_part(r), derived=meta.velocity == "derived"))
             place += 1
         if not seen:
             raise RecordingError(f"{path} has no rows; expected at least one trial: record it again")

@@ -80,6 +80,8 @@ class Recording:
     twice: int = 0  # rows left out that were written twice
     unread: int = 0  # rows left out that lack numbers, see `sound_rows`
     spikes: tuple[Spike, ...] = ()  # for which samples were left out, see `without_spikes`
+    again: int = 0  # readings left out that a logger wrote again for want of a new one, see `on_its_clock`
+    skipped: int = 0  # readings that it passed over: lost samples on the clock that the trial stands on
     repetition: int = UNCOUNTED
     begun: int = UNCOUNTED
     other: int = 0

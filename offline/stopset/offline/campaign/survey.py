@@ -48,6 +48,7 @@ class Survey:
     learnt: frozenset[SuiteKey] = frozenset()  # suites that a nominal model that is given was fitted to
     low_pass: float = 0.0  # [Hz] of the filter that the recorded torque went through; 0: none was found, or looked for
     means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
+    polled: tuple[int, int] = (0, 0)  # readings that a logger wrote again, and passed over, see `on_its_clock`; as `spikes`
     spikes: tuple[tuple[str, Spike], ...] = ()  # trial and torque, for which the reader left a sample out; of all phases
 
     @property
@@ -120,6 +121,7 @@ class Tally:
     spikes: list[tuple[str, Spike]] = field(
         default_factory=list
     )  # see `Survey`; of what this one was fed, no kept state has them
+    polled: tuple[int, int] = (0, 0)
     retained: list[Recording] = field(default_factory=list)
     stride: int = 1
 
@@ -128,6 +130,7 @@ class Tally:
         self.places = max(self.places, r.place + 1)
         self.conditions.add(r.condition)
         self.spikes += [(r.label, x) for x in r.spikes]
+        self.polled = (self.polled[0] + r.again, self.polled[1] + r.skipped)
         if r.phase != self.phase or len(r.t) < 3:
             self.noise.add(r)
             return
@@ -169,6 +172,7 @@ class Tally:
             temp=self.hulls.get("temp"), sample=tuple(self.retained), irregular=self.irregular,
             session=session or Session(max(self.repeats.values()), self.places), learnt=learnt, means=np.array(self.means) if self.means else None,
             spikes=tuple(self.spikes),
+            polled=self.polled,
         )  # fmt: skip
 
 

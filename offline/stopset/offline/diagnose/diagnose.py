@@ -128,7 +128,8 @@ def diagnose_model(
     The whole catalogue is searched whatever is asked for: an effect looked for alone takes up what another one does.
     """
     check_readings(model.robot, recordings.meta, recordings)
-    without = left_out(model.robot, [(r.label, x) for r in recordings for x in r.spikes])
+    readings = sum(r.again for r in recordings), sum(r.skipped for r in recordings)
+    without = left_out(model.robot, [(r.label, x) for r in recordings for x in r.spikes], readings)
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 

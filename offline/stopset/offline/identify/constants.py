@@ -68,7 +68,7 @@ from stopset.reach import nonlinear as flow
 from stopset.reach.stops import bounds, brakes, failed, gravity, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import clock as recorded_clock
-from stopset.recording import ends, reader, repetition, spikes
+from stopset.recording import ends, polled, reader, repetition, spikes
 from stopset.recording import rows as recorded_rows
 from stopset.ring import interval
 from stopset.robot import drives, generic
@@ -81,6 +81,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading", recorded_clock, "FEWEST_STAMPS PRINTED ROUGH WIDE PAUSE SLOWER"),
     ("reading", recorded_rows, "UNREAD"),
     ("spikes", spikes, "FEWEST RARE OUT SEEN FLAT LEVEL BESIDE MOVING ANSWER AROUND ANSWERED"),
+    ("polled readings", polled, "FEWEST_READINGS STEADY LEAST MOST LONGEST WHOLE MOVING AROUND REST PLAIN ITS"),
     ("bent ends", ends, "SLOPE EDGE FEWEST OFF USUAL FADES MOSTLY"),
     ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),

@@ -80,6 +80,19 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
     return out
 
 
+def polled(again: int, skipped: int) -> list[Finding]:
+    """Readings of a logger that asked at its own pace, see `on_its_clock`: written ``again`` and left out, and ``skipped``."""
+    if not again + skipped:
+        return []
+    return [
+        Finding("repeated_samples", "warning", None,
+                f"in mid-motion {again} samples repeat their predecessor and {skipped} were passed over, under even stamps",
+                "a new sample at every stamp", "a logger that asks at its own pace writes so: what it wrote again is left out, what it passed "
+                "over is a gap, and stamps are those of the robot's clock, in every command; log every message with its own stamp",
+                again + skipped)
+    ]  # fmt: skip
+
+
 def _ends(t: SignalSums) -> list[Finding]:
     """Where trials begin or end in what a filter made of them."""
     out = []

@@ -14,7 +14,7 @@ from stopset.effects.selection import of_part, usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
 from stopset.offline.inspect.finding import Finding
-from stopset.offline.inspect.findings_clock import clock
+from stopset.offline.inspect.findings_clock import clock, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, velocity
 from stopset.offline.inspect.findings_torque import (
     RIGHT,
@@ -75,9 +75,10 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     return _in_words(found)
 
 
-def left_out(robot: Robot, seen: Sequence[tuple[str, Spike]]) -> tuple[str, ...]:
-    """What of trials was left out because its torque is none, in the words of `stopset inspect`; ``seen``: as a survey counts it."""
-    return _in_words(spikes(seen, robot.joints))
+def left_out(robot: Robot, seen: Sequence[tuple[str, Spike]], readings: tuple[int, int] = (0, 0)) -> tuple[str, ...]:
+    """What of trials was left out, in the words of `stopset inspect`: samples whose torque is none, and ``readings`` that a logger wrote again
+    or passed over; both as a survey counts them."""
+    return _in_words([*spikes(seen, robot.joints), *polled(*readings)])
 
 
 def unsound(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[Finding]:

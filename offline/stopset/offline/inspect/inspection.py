@@ -15,7 +15,7 @@ from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.inspect import findings_torque
 from stopset.offline.inspect.contradiction import contradictions
 from stopset.offline.inspect.finding import Finding
-from stopset.offline.inspect.findings_clock import clock
+from stopset.offline.inspect.findings_clock import clock, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, unrepeated, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.jolts import Jolt, found, jolts
@@ -189,7 +189,7 @@ def _findings(
     out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints, meta)]
     if t.trials == 0:
         return out
-    out += [*unrepeated(campaign.suites), *findings_torque.spikes(t.spikes, joints)]
+    out += [*unrepeated(campaign.suites), *findings_torque.spikes(t.spikes, joints), *polled(*t.polled)]
     if not any(f.severity == "error" for f in out):  # stamps and readings that are wrong tear speeds apart
         out += [*found(campaign.jolts, joints), *findings_torque.torque_peaks(t.peaks, joints)]
     sign = findings_torque.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")

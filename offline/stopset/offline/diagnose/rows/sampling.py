@@ -17,6 +17,8 @@ from stopset.offline.nominal.stamps import even_clock, roughness
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
 
+ROUNDING = 1e-9  # [s] of stamps that are even but for lost samples
+
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
@@ -99,7 +101,7 @@ def whole_samples(lag: float, std: float, dt: float) -> int:
 def in_words(read: Sequence[Sampled]) -> tuple[str, ...]:
     """What was made of the stamps, where they were not as even as a clock."""
     out, samples = [], sum(len(x.t) for x in read)
-    uneven = [x.scatter for x in read if x.scatter > 0.0]
+    uneven = [x.scatter for x in read if x.scatter > ROUNDING]
     if uneven:
         out.append(
             f"stamps scatter by {1e3 * float(np.median(uneven)):.2g} ms about an even clock in {len(uneven)} of {len(read)} trials: "
