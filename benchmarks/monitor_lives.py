@@ -1,6 +1,6 @@
 """Many lives of the monitor in a world where things go wrong: ``python benchmarks/monitor_lives.py [--seeds N] [--first S]``.
 
-Prints every broken promise with its seed; ``World(seed)`` of tests/monitor_world.py lives that life again. With ``--kept FILE`` it
+Prints every broken promise with its seed; ``--first SEED --seeds 1`` lives that life again, byte by byte. With ``--kept FILE`` it
 goes on where that file ends, for ``--seconds``, on so many ``--processes``: 100,000 lives take hours.
 """
 

@@ -5,11 +5,12 @@ Each yields sentences about what broke it; none is the promise kept.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 from monitor_arm import DT
-from monitor_world import LOOK, RECOVER, VALID, Published, World
+from monitor_world import BUS_OFF, LOOK, RECOVER, VALID, Published, World
 from stopset.monitor.daemon import PATIENCE
 from stopset.monitor.layout import Flag, State
 
@@ -27,6 +28,13 @@ def lives(world: World) -> Iterator[list[Published]]:
 
 def nothing_comes_out_of_the_daemon(world: World) -> Iterator[str]:
     yield from world.errors
+
+
+def nothing_fails_inside(world: World) -> Iterator[str]:
+    """The daemon tells an error of its own as FAULT and lives on: not of anything that happens here."""
+    for event in map(json.loads, world.slow.get("event", [])):
+        if event["kind"] == "fault" and event["why"] != BUS_OFF:
+            yield f"{event['t_ns']}: {event['why']}"
 
 
 def never_ok_on_old_data(world: World) -> Iterator[str]:
@@ -111,7 +119,7 @@ def numbers_are_withdrawn(world: World) -> Iterator[str]:
 
 
 INVARIANTS: tuple[Callable[[World], Iterator[str]], ...] = (
-    nothing_comes_out_of_the_daemon, never_ok_on_old_data, no_consumer_believes_old_data, never_ok_when_a_drive_is_not_good,
+    nothing_comes_out_of_the_daemon, nothing_fails_inside, never_ok_on_old_data, no_consumer_believes_old_data, never_ok_when_a_drive_is_not_good,
     heartbeat_is_never_late, messages_are_numbered, the_latch_is_never_lost, the_count_never_goes_back,
     a_good_arm_is_not_accused, ok_comes_back_only_after_good_cycles, numbers_are_withdrawn,
 )  # fmt: skip

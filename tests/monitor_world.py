@@ -1,6 +1,7 @@
 """A world for the daemon that one number makes: an arm, a bus, a clock, a disk, a network and consumers, and what goes wrong.
 
-Everything the daemon sees of time and of others comes from here, so a seed and a commit reproduce every life to the last message.
+Everything the daemon sees of time, of others and of the process that it is comes from here, so a seed and a commit reproduce every life to the
+last byte of what it says.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from monitor_arm import DT, NOISE, VISCOUS, U, known_model
+from monitor_arm import DT, NOISE, VISCOUS, U
 from monitor_faults import Fault
 from stopset.artifact import Model
 from stopset.errors import BusError
@@ -39,6 +40,7 @@ PROFILE: Profile = load_profile("lwa4p/monitor")
 VALID, STALE, RECOVER, EVIDENCE = 0.030, 0.080, 0.060, 0.024  # [s]
 EPOCH = 1_700_000_000_000_000_000
 EMERGENCY = 0x085  # of node 5
+BUS_OFF = "the bus is off"
 LOOK = 50e-6  # [s] what any look at the world takes
 
 
@@ -82,14 +84,17 @@ class Published:
 
 @dataclass
 class World:
-    """One life of a cell, of ``seconds``; `live` runs it. What was said is in ``published``, what a consumer believed in ``believed``."""
+    """One life of a cell, of ``seconds``; `live` runs it. What was said is in ``published`` and byte by byte in ``said``, what a consumer
+    believed in ``believed``. ``model``: as it was saved to or loaded from ``model_path``, for its hash is in every message.
+    """
 
     seed: int
     model_path: Path
-    model: Model = field(default_factory=lambda: known_model(horizon=0.1))
+    model: Model
     seconds: float = 0.7
     fault: Fault | None = None  # of the arm itself, and then nothing else goes wrong
     published: list[Published] = field(default_factory=list)
+    said: list[tuple[str, float, bytes]] = field(default_factory=list)  # key, when
     believed: list[tuple[float, State, float]] = field(default_factory=list)  # time, state, when the data were sampled
     errors: list[str] = field(default_factory=list)
 
@@ -116,6 +121,7 @@ class World:
         self.consumer = Consumer(Expected(7, None, None, None), 50_000_000)
         # [s] that a message takes to the consumer; drawn apart, so that a seed's life stays the one it was
         self.way = random.Random(f"way {self.seed}").choice([0.0, 0.0, 0.01, 0.02])
+        self.boots = random.Random(f"boot {self.seed}")  # and so are these
         self.underway: deque[tuple[float, bytes, float]] = deque()  # when it is there, what, with data of when
 
     # ---- the arm and its bus
@@ -167,7 +173,7 @@ class World:
         """The bus's: the next frame, if it comes in time."""
         self.pass_time(LOOK / 10)
         if self.now < self.off_until:
-            raise BusError("the bus is off")
+            raise BusError(BUS_OFF)
         if self.frames and self.frames[0][0] > self.now:
             self.pass_time(min(timeout, self.frames[0][0] - self.now))
         elif not self.frames:
@@ -248,6 +254,7 @@ class World:
         def send(data: bytes) -> None:
             rng, f = self.rng, self.faults
             self.pass_time(LOOK)
+            self.said.append((name, self.now, data))
             self.recorder.turn()  # which a thread does otherwise
             m = unpack(data)
             self.published.append(Published(self.now, self.life, m, self.given, not self.node_bad, self.resets, self.stood))
@@ -280,6 +287,7 @@ class World:
 
     def put(self, name: str, data: bytes | str, *, must_arrive: bool = False) -> None:
         self.slow.setdefault(name, []).append(data)
+        self.said.append((name, self.now, data if isinstance(data, bytes) else data.encode()))
         if self.rng.random() < self.faults.send_error:
             raise RuntimeError("the session is gone")
 
@@ -336,7 +344,7 @@ class World:
             try:
                 daemon = Daemon(
                     config, self.model, self._open(), self, DT,
-                    Beside(Latch(Journal(self)), clock=self, desk=Desk(self), recorder=self.recorder),  # type: ignore[arg-type]
+                    Beside(Latch(Journal(self)), clock=self, process=Process(self), desk=Desk(self), recorder=self.recorder),  # type: ignore[arg-type]
                 )  # fmt: skip
                 daemon.run(self._reopen)
             except Killed:
@@ -352,11 +360,24 @@ class World:
 
     def _reopen(self) -> SampleSource:
         if self.now < self.off_until:
-            raise BusError("the bus is off")
+            raise BusError(BUS_OFF)
         return self._open()
 
 
 EVENTS = ["kill", "stop", "jump", "bus off", "reset", "emergency", "drives stop"]
+
+
+class Process:
+    """What the daemon knows of the process that it is."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+
+    def boot(self) -> int:
+        return self.world.boots.getrandbits(64)
+
+    def said(self) -> dict[str, Any]:
+        return {"processor": {}, "memory_mb": 0.0, "pid": self.world.life}
 
 
 class Desk:
@@ -364,6 +385,7 @@ class Desk:
 
     slowest = None
     restarts = 0
+    spending: ClassVar[dict[str, float]] = {}
 
     def __init__(self, world: World) -> None:
         self.world, self.down_until, a = world, -math.inf, np.full(6, 0.1)

@@ -30,8 +30,9 @@ from stopset.monitor.notify import Notifier
 from stopset.monitor.operators import Operators
 from stopset.monitor.orders import Orders
 from stopset.monitor.pace import Pace
+from stopset.monitor.process import Process, SystemProcess
 from stopset.monitor.publisher import Outlet, Publisher
-from stopset.monitor.realtime import Granted, Waits
+from stopset.monitor.realtime import Granted
 from stopset.monitor.reloading import Loaded, Reloading, end_beside
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.report import RunCounts, Turn, health, twin
@@ -61,6 +62,7 @@ class Beside:
     latch: Latch | None = None
     key: Key | None = None
     clock: Clock | None = None
+    process: Process | None = None
     desk: StopDesk | None = None
     load: Callable[[], Model] | None = None
     recorder: Recorder | None = None
@@ -75,7 +77,7 @@ class Daemon:
         self, config: Config, model: Model, source: SampleSource, outlet: Outlet, cycle_s: float, beside: Beside = Beside()
     ) -> None:
         self.config, self.source, self.cycle_s, self.recorder = config, source, cycle_s, beside.recorder
-        self.granted, self.waits = beside.granted, Waits()
+        self.granted, self.process = beside.granted, beside.process or SystemProcess()
         self.clock: Clock = beside.clock or SystemClock()
         self.reloading = Reloading(beside.load, self._prepare)
         self._use(self._prepare(model, beside.desk, beside.begun))
@@ -92,7 +94,7 @@ class Daemon:
         self._fault = self._last_words = self._disk = ""
         self._evidence: deque[Sample] = deque(maxlen=max(1, round(config.publish.evidence_s / cycle_s)))
         self._next_json = self._next_health = 0.0
-        self.publisher = Publisher(outlet, self.clock, self._identity(), beside.key)
+        self.publisher = Publisher(outlet, self.clock, self._identity(), beside.key, self.process.boot())
         self.clearing = Clearing(Operators.of(config.operators), self.latch, self.publisher, config.data_id, self.clock)
         self._message = StateMessage(config.fallback, model.joints)
         for name in ("challenge", "reset"):

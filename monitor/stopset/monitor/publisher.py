@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
@@ -32,9 +31,9 @@ class Outlet(Protocol):
 class Publisher:
     """Numbers the messages of one life (``boot``), signs and sends them; ``identity``: fields that stay the same."""
 
-    def __init__(self, outlet: Outlet, clock: Clock, identity: Mapping[str, int], key: Key | None) -> None:
+    def __init__(self, outlet: Outlet, clock: Clock, identity: Mapping[str, int], key: Key | None, boot: int) -> None:
         self.outlet, self.clock, self.identity = outlet, clock, dict(identity)
-        self.boot, self.seq, self.errors, self.error = secrets.randbits(64), 0, 0, ""
+        self.boot, self.seq, self.errors, self.error = boot, 0, 0, ""
         self.events: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
         self._nonces: deque[int] = deque([0] * NONCES, maxlen=NONCES)
         self._packer = Packer(key)

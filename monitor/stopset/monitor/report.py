@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import resource
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -22,8 +20,9 @@ from stopset.monitor.latch import Latch
 from stopset.monitor.layout import Flag, State
 from stopset.monitor.orders import Orders
 from stopset.monitor.payload import assumed, published
+from stopset.monitor.process import Process
 from stopset.monitor.publisher import Publisher
-from stopset.monitor.realtime import Granted, Waits
+from stopset.monitor.realtime import Granted
 from stopset.monitor.remaining import Remaining
 from stopset.monitor.sample import Sample
 from stopset.monitor.source import SampleSource
@@ -74,7 +73,7 @@ class Monitored(Protocol):
     recorder: Recorder | None
     clock: Clock
     granted: Granted
-    waits: Waits
+    process: Process
     cycle_s: float
     tally: RunCounts
     sample: Sample | None
@@ -152,12 +151,11 @@ def health(d: Monitored) -> dict[str, Any]:
         "sync_to_publish_ms": t.delays.middle_and_most(), "loop_busy_ms": t.busy.middle_and_most(),
         "bus": d.source.counters(), "stop_bound_ms": None if d.desk.slowest is None else 1e3 * d.desk.slowest,
         "stop_restarts": d.desk.restarts, "stop_cost": d.desk.spending,
-        "realtime": d.granted.said, "processor": d.waits.since(),
+        "realtime": d.granted.said, **d.process.said(),
         "orders_dropped": d.orders.dropped, "send_errors": d.publisher.errors, "send_error": d.publisher.error,
         "recorder": None if d.recorder is None else {
             "trouble": d.recorder.trouble, "dropped": d.recorder.dropped, "violations_written": d.recorder.files,
         },
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "pid": os.getpid(),
     }  # fmt: skip
     t.delays.clear()
     t.busy.clear()
