@@ -10,6 +10,7 @@ The good ones are as small as a parser takes, one drive and as few cycles as mak
 from __future__ import annotations
 
 import argparse
+import bz2
 import contextlib
 import copy
 import gzip
@@ -29,7 +30,7 @@ import threading
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, reduce
 from operator import getitem
@@ -420,12 +421,42 @@ def good_inputs(folder: Path) -> dict[str, list[bytes]]:
         "model, stops": [(folder / "m.json").read_bytes()],
         "MCAP": [out.getvalue()], "MCAP of a violation": [record(CompressionType.NONE), record(CompressionType.ZSTD)], "db3": [db.read_bytes()],
         "candump": files[".log"], "ASC": files[".asc"], "BLF": files[".blf"], "TRC": files[".trc"],
+        "ROS 1 bag": [ros1_bag([decode(d) for _, d in bag], packed) for packed in (b"none", b"bz2")],
         "played log": files[".log"], "candump.gz": [gzip.compress(files[".log"][0])], "db3.zstd": [zstandard.compress(db.read_bytes())],
         "candump on screen": ["\n".join(f" ({1.7e9 + t:.6f})  can0  {c:03X}   [{len(d)}]  {bytes(d).hex(' ')}" for t, c, d in stream).encode()],
         "hub": ["".join(f"< frame {c:03X} {time.time():.6f} {bytes(d).hex()} >" for _, c, d in stream[:60]).encode()],
         "RTDE": [conversation()], "latch": [blank(Record()), blank(Record(why="a measurement was outside its prediction", count=3))],
         "counts": [counted()],
     }  # fmt: skip
+
+
+def ros1_bag(states: Sequence[JointState], packed: bytes) -> bytes:
+    """A bag of ROS 1 with one chunk."""
+
+    def piece(data: bytes) -> bytes:
+        return struct.pack("<I", len(data)) + data
+
+    def record(op: int, data: bytes, **fields: bytes) -> bytes:
+        head = b"".join(piece(name.encode() + b"=" + value) for name, value in {"op": bytes([op]), **fields}.items())
+        return piece(head) + piece(data)
+
+    def message(s: JointState) -> bytes:
+        lists = (struct.pack(f"<I{len(x)}d", len(x), *x) for x in (s.position, s.velocity, s.effort))
+        names = b"".join(piece(name.encode()) for name in s.name)
+        return (
+            struct.pack("<3I", 0, *divmod(s.stamp_ns, 10**9))
+            + piece(b"")
+            + struct.pack("<I", len(s.name))
+            + names
+            + b"".join(lists)
+        )
+
+    number = struct.pack("<I", 0)
+    kind = piece(b"type=sensor_msgs/JointState")
+    inside = record(7, kind, conn=number, topic=b"/joint_states")
+    inside += b"".join(record(2, message(s), conn=number, time=struct.pack("<2I", *divmod(s.stamp_ns, 10**9))) for s in states)
+    data = bz2.compress(inside) if packed == b"bz2" else inside
+    return b"#ROSBAG V2.0\n" + record(5, data, compression=packed, size=struct.pack("<I", len(inside)))
 
 
 def conversation() -> bytes:
@@ -458,7 +489,7 @@ def parsers(folder: Path) -> dict[str, Callable[[bytes], object]]:
         "configuration": (".toml", load_config, folder), "profile": ("p.toml", profile, folder),
         "keys": (".keys", load_keys, folder), "EDS": (".dcf", lambda path: frame_maps(replace(moving, dcf=path)), folder),
         "model": (".model.json", load_model, folder), "MCAP": (".mcap", bag, folder),
-        "MCAP of a violation": (".seen.mcap", seen, folder), "db3": (".db3", bag, folder),
+        "MCAP of a violation": (".seen.mcap", seen, folder), "db3": (".db3", bag, folder), "ROS 1 bag": (".bag", bag, folder),
         "candump": (".log", log, folder), "ASC": (".asc", log, folder), "BLF": (".blf", log, folder), "TRC": (".trc", log, folder),
         "candump on screen": (".screen.log", log, folder), "candump.gz": (".log.gz", log, folder), "db3.zstd": (".db3.zstd", bag, folder),
         "played log": (".played.log", lambda path: played(path, small), folder),

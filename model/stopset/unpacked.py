@@ -89,7 +89,7 @@ def inflated(data: bytes, declared: int) -> bytes:
     """A zlib stream that makes what it has ``declared``. Raises ValueError where it does not, zlib.error where it is none."""
     check_piece(declared)
     stream = zlib.decompressobj()
-    return _as_declared(stream.decompress(data, declared + 1), declared)
+    return as_declared(stream.decompress(data, declared + 1), declared)
 
 
 def chunk_data(chunk: Chunk) -> bytes:
@@ -109,10 +109,11 @@ def chunk_data(chunk: Chunk) -> bytes:
     else:
         raise ValueError(f"compression {chunk.compression!r}, expected zstd or lz4")
     with stream:
-        return _as_declared(stream.read(declared + 1), declared)
+        return as_declared(stream.read(declared + 1), declared)
 
 
-def _as_declared(data: bytes, declared: int) -> bytes:
+def as_declared(data: bytes, declared: int) -> bytes:
+    """``data``. Raises ValueError where it is not of the size declared."""
     if len(data) != declared:
         raise ValueError(f"a piece that declares {declared} bytes and holds {'more' if len(data) > declared else len(data)}")
     return data

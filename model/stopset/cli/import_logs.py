@@ -1,4 +1,4 @@
-"""``stopset import``: logs of buses, ROS 2 bags and tables of controllers to recordings."""
+"""``stopset import``: logs of buses, ROS bags and tables of controllers to recordings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
 from stopset.cli.steps import steps
 
-HELP = "turn CAN logs, ROS 2 bags, MCAP files or RTDE tables into recordings"
+HELP = "turn CAN logs, ROS bags, MCAP files or RTDE tables into recordings"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,7 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help="candump (.log, also as shown on the screen), .asc, .blf, .trc, these also .gz; .mcap, .db3, also .zstd, or a bag's folder; RTDE .csv",
+        help="candump (.log, also as shown on the screen), .asc, .blf, .trc, these also .gz; .mcap, .db3, also .zstd, or a bag's folder, "
+        ".bag (ROS 1); RTDE .csv",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="REC.parquet", help="the recording to write")
     parser.add_argument("--profile", default="lwa4p/monitor", help="CAN: bus profile, name or path (default: %(default)s)")

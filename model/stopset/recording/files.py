@@ -18,6 +18,7 @@ from stopset.recording.seen import open_seen
 from stopset.unpacked import Allowance, TooLargeError
 
 BATCH_ROWS = 65_536
+LOGS = frozenset({".bag", ".db3", ".zstd", ".log", ".asc", ".blf", ".trc", ".gz"})  # what `stopset import` makes recordings of
 TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s] of a time of day
 
 
@@ -38,6 +39,10 @@ def opened(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
     """Columns and batches of rows, ``t`` in seconds. Raises `RecordingError` for what is no such file."""
     if path.suffix.lower() == ".mcap":
         return open_seen(path)
+    if path.suffix.lower() in LOGS:
+        raise RecordingError(
+            f"{path} is a log; expected a recording (Parquet or CSV): make one of it with `stopset import {path.name} --out REC.parquet`"
+        )
     try:
         if path.suffix.lower() == ".csv":
             reader = open_csv(path, is_signal)

@@ -1,4 +1,4 @@
-"""``sensor_msgs/JointState`` out of MCAP files and ROS 2 bags (sqlite3), read with what the two formats are made of."""
+"""``sensor_msgs/JointState`` out of MCAP files and bags of ROS 2 (sqlite3) and ROS 1, read with what the formats are made of."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from pathlib import Path
 import numpy as np
 
 from stopset.errors import BusError, RecordingError
+from stopset.monitor import ros1_bag
 from stopset.monitor.jointstate import JointState, decode
 from stopset.recording import Meta, Recording
 from stopset.types import Array
 from stopset.unpacked import MESSAGE, PIECE, Allowance, TooLargeError, Unpacking, mcap_records
 
-BAG_SUFFIXES = frozenset({".mcap", ".db3"})
+ROS1 = ".bag"
+BAG_SUFFIXES = frozenset({".mcap", ".db3", ROS1})
 SHORTEST = 10
 SHOWN = 80  # characters of a topic's name
 GAP = 2.5  # periods without a message that end a trial
 
 
 def is_bag(path: Path) -> bool:
-    """An MCAP file, a ``.db3``, either compressed (``.zstd``), or the folder that ROS 2 writes them into."""
+    """An MCAP file, a ``.db3``, either compressed (``.zstd``), the folder that ROS 2 writes them into, or a ``.bag`` of ROS 1."""
     name = path.name.removesuffix(".zstd") if path.suffix == ".zstd" else path.name
     return Path(name).suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
 
@@ -62,13 +64,22 @@ def _unpacked_parts(path: Path) -> Iterator[Path]:
             yield whole
 
 
-def _all_messages(path: Path, topic: str) -> Iterator[bytes]:
+def _all_states(path: Path, topic: str) -> Iterator[JointState]:
     for part in _unpacked_parts(path):
-        yield from _messages(part, topic)
+        if part.suffix.lower() == ROS1 and part.is_file():
+            yield from ros1_bag.joint_states(part, topic)
+            continue
+        for data in _messages(part, topic):
+            try:
+                yield decode(data)
+            except BusError as e:
+                raise RecordingError(f"{path}: {e}") from e
 
 
 def _topics(part: Path) -> dict[str, str]:
     """Name and type of what a readable file of a bag holds."""
+    if part.suffix.lower() == ROS1:
+        return {name[:SHOWN]: kind[:SHOWN] for name, kind in ros1_bag.topics(part).items()}
     if part.suffix.lower() != ".mcap":
         with closing(sqlite3.connect(f"file:{part}?mode=ro", uri=True)) as db:
             return {str(name)[:SHOWN]: str(kind)[:SHOWN] for name, kind in db.execute("select name, type from topics limit 100")}
@@ -109,7 +120,7 @@ def _unpack(part: Path, whole: Path) -> None:
 
 def _messages(path: Path, topic: str) -> Iterator[bytes]:
     if not path.is_file():
-        raise RecordingError(f"{path}: no such file; expected an MCAP file or the .db3 of a ROS 2 bag")
+        raise RecordingError(f"{path}: no such file; expected an MCAP file, the .db3 of a ROS 2 bag or the .bag of a ROS 1 bag")
     if path.suffix.lower() == ".mcap":
         try:
             yield from _mcap_messages(path, topic)
@@ -165,12 +176,7 @@ def trials_of_bag(
     path: Path, topic: str, joints: tuple[str, ...] | None, cycle_s: float | None, suite: int
 ) -> Iterator[tuple[Recording, tuple[str, ...]]]:
     """Unbroken runs of messages as trials, with the joints' names; time is the header stamp."""
-    states: list[JointState] = []
-    for data in _all_messages(path, topic):
-        try:
-            states.append(decode(data))
-        except BusError as e:
-            raise RecordingError(f"{path}: {e}") from e
+    states = list(_all_states(path, topic))
     if len(states) < SHORTEST:
         raise _too_few(path, topic, len(states))
     names = joints or states[0].name

@@ -46,6 +46,27 @@ def decode(data: bytes) -> JointState:
         raise BusError(
             f"joint_states message of {len(data)} bytes is neither JSON nor CDR JointState ({e}); look at the sender"
         ) from e
+    return _sound(state)
+
+
+def decode_ros1(data: bytes) -> JointState:
+    """As ROS 1 packs a message: without alignment. Raises `BusError`."""
+    if len(data) > MAX_BYTES:
+        raise BusError(f"joint state of {len(data)} bytes; expected at most {MAX_BYTES}: look at the sender")
+    try:
+        r = _Reader(b"\0\1\0\0" + data, aligned=False)
+        r.take("I")  # seq
+        sec, nanosec = int(r.take("I")), int(r.take("I"))
+        r.text()  # frame_id
+        names = tuple(r.text() for _ in range(r.count()))
+        values = [tuple(float(r.take("d")) for _ in range(r.count())) for _ in range(3)]
+    except (ValueError, struct.error) as e:
+        raise BusError(f"a message of {len(data)} bytes is no JointState of ROS 1 ({e}); look at the sender") from e
+    return _sound(JointState(sec * 1_000_000_000 + nanosec, names, *values))
+
+
+def _sound(state: JointState) -> JointState:
+    """``state``, with plausible values for all joints. Raises `BusError`."""
     n = len(state.name)
     if not all(len(x) in (0, n) for x in (state.position, state.velocity, state.effort)):
         raise BusError(f"joint_states names {n} joints but carries other numbers of values; look at the sender")
@@ -85,15 +106,16 @@ def _from_json(data: bytes) -> JointState:
 
 
 class _Reader:
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, *, aligned: bool = True) -> None:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise ValueError(f"unknown encapsulation {data[:4].hex()}")
         self.order = "<" if data[1] == 1 else ">"
-        self.data, self.at = data, 4
+        self.data, self.at, self.aligned = data, 4, aligned
 
     def take(self, code: str) -> float | int:
         size = struct.calcsize("<" + code)
-        self.at += -(self.at - 4) % size  # CDR aligns to the size, counted after the encapsulation
+        if self.aligned:
+            self.at += -(self.at - 4) % size  # CDR aligns to the size, counted after the encapsulation
         (value,) = struct.unpack_from(self.order + code, self.data, self.at)
         self.at += size
         return value  # type: ignore[no-any-return]

@@ -35,7 +35,9 @@ def read_log(path: str | Path) -> Iterator[Frame]:
         raise RecordingError(f"{p}: {what}; expected a candump (.log), ASC, BLF or TRC log")
     suffix = log_suffix(p)
     if suffix not in LOG_SUFFIXES:
-        raise RecordingError(f"{p}: expected a log named .log (candump), .asc, .blf or .trc, perhaps .gz")
+        raise RecordingError(
+            f"{p}: expected a log named .log (candump), .asc, .blf or .trc, perhaps .gz; or .mcap, .db3, .bag, .csv of RTDE to import"
+        )
     try:
         for frame in _frames(p, suffix):
             if not math.isfinite(frame.t):
