@@ -214,7 +214,7 @@ def diagnosed(model: Path, fit: Path, work: Path) -> dict[str, Any]:
     answer.unlink(missing_ok=True)
     code, text, seconds = stopset("diagnose", str(model), "--data", str(fit), "--json", str(answer))
     found = json.loads(answer.read_text()) if code == 0 else {"verdict": text.strip().splitlines()[-1], "ranked_effects": []}
-    effects = [f"{e['effect']}:{e['joint']}" for e in found["ranked_effects"]]
+    effects = [f"{e['effect']}:{e['joint']}" if e["joint"] else e["effect"] for e in found["ranked_effects"]]
     return {"diagnosis": found["verdict"], "diagnose seconds": round(seconds), "effects": effects}
 
 

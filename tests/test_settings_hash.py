@@ -37,7 +37,7 @@ REFUSED = "bounds what is taken from a user, not what is made of it"
 # constants that no number of a model rests on: module (or its last name and a star), names, why
 LEFT_OUT = (
     ("stopset.artifact.abstraction", "_PROGRAMS", BUDGET),
-    ("stopset.artifact.inputs", "IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
+    ("stopset.artifact.inputs", "BODY IN_ABSTRACTION LEFT_TO_U GAIN ENTRIES", ROLES),
     ("stopset.artifact.model", "SCHEMA_VERSION", FORMAT),
     ("stopset.artifact.store", "FORMAT FIRST_SCHEMA LAGS ARM", FORMAT),
     ("stopset.artifact.contents", "MOST_STEPS MOST_NUMBERS LARGEST SLOWEST CORNER_SPEED", REFUSED),

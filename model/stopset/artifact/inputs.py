@@ -25,6 +25,8 @@ from stopset.types import Array
 
 Memories = Mapping[int, tuple[Array, ...]]  # states (N,) of effects with memory, by the effect's place in the list
 
+# signals that hang on what links weigh
+BODY = frozenset({"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
 ENTRIES = {
     "damping": "the damping of the abstraction", "inertia": "the mass matrix M and gravity",
     "input_gain": "the scale of the measured torque",
@@ -177,5 +179,4 @@ def memories_after(robot: Robot, effects: Sequence[Fitted], memories: Memories, 
 def law_signals(robot: Robot, laws: Sequence[tuple[Fitted, Effect]], samples: Samples) -> tuple[Signals, ...]:
     """Signals of every joint as far as ``laws`` read them."""
     needs = {name for _, e in laws for name in e.needs}
-    rigid = needs & {"load", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"}
-    return arm_signals(robot, samples, rigid or {"none"})
+    return arm_signals(robot, samples, needs & BODY or {"none"})

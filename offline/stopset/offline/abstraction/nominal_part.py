@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from stopset.artifact import Abstraction, Model
-from stopset.artifact.inputs import compensated, input_map
+from stopset.artifact.inputs import BODY, compensated, input_map
 from stopset.effects.base import Effect, Fitted, Signals
 from stopset.effects.registry import get
 from stopset.effects.selection import base, matches, of_part, parse_effect
@@ -21,8 +21,8 @@ from stopset.offline.campaign.trials import Pairs, Source
 from stopset.offline.inspect.gate import check_torque
 from stopset.offline.nominal.friction_choice import Gain, choose
 from stopset.offline.nominal.known_effects import described, plain
-from stopset.offline.nominal.nominal import Nominal, identify_nominal
-from stopset.offline.nominal.normal_equations import NormalEquations
+from stopset.offline.nominal.nominal import Nominal, identify_nominal, solve_nominal
+from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.open_loop import EffectTerm, RollOut, joint_batches
 from stopset.offline.nominal.output_error import fit_joint
 from stopset.offline.nominal.parameter_uncertainty import left_open, of_lags, of_regression
@@ -117,17 +117,19 @@ def _motor(run: Run, known: tuple[Fitted, ...]) -> NominalPart:
     cad = described(robot, known)
     asked = [e for e in settings.effects if regressed(parse_effect(e, robot)[0]) and not any(matches(f, e) for f in known)]
 
-    def trials() -> Iterator[Recording]:
-        return (plain(r, cad, known, found.warm(r)) for r in run.trials())
+    def of(arm: Robot) -> Source:
+        """The trials without what is known, as the laws of ``arm`` say it."""
+        return lambda: (plain(r, arm, known, found.warm(r)) for r in run.trials())
 
     prepared = Preprocessing(low_pass=found.low_pass)
+    arm = _weighed(cad, cad, of, known, (*base(), *asked), prepared)
     chosen: tuple[Gain, ...] = ()
     if settings.friction == "evidence":
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
         everywhere, among = [e for e in asked if ":" not in e], settings.friction_among
-        chosen = choose(cad, trials, len(set(found.motion.values())), everywhere, barred, prepared, among)
+        chosen = choose(cad, of(arm), len(set(found.motion.values())), everywhere, barred, prepared, among)
     laws = tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen))))
-    nominal = identify_nominal(cad, trials, laws, settings=prepared)
+    nominal = _at_load(cad, _weighed(cad, arm, of, known, laws, prepared), of, laws, prepared)
     strange = check_torque(cad, run.meta, nominal.data, nominal.delay, found.sample)
     for name in asked:
         if not any(_shows(f) for f in nominal.friction if matches(f, name)):
@@ -142,9 +144,35 @@ def refitted(run: Run, known: tuple[Fitted, ...], like: NominalPart) -> NominalP
         return _compensated(run, known)
     robot, found = run.robot, run.survey
     cad = described(robot, known)
-    trials = [plain(r, cad, known, found.warm(r)) for r in run.trials()]
-    nominal = identify_nominal(cad, lambda: trials, like.data.layout.effects, effort=run.meta.effort, settings=like.data.settings)
+    own = tuple(run.trials())
+
+    def of(arm: Robot) -> Source:
+        trials = [plain(r, arm, known, found.warm(r)) for r in own]
+        return lambda: iter(trials)
+
+    laws, prepared = like.data.layout.effects, like.data.settings
+    nominal = _at_load(cad, _weighed(cad, cad, of, known, laws, prepared), of, laws, prepared)
     return _regressed(robot, cad, nominal, found, known, ())
+
+
+def _weighed(
+    cad: Robot, arm: Robot, of: Callable[[Robot], Source], known: Sequence[Fitted], laws: Sequence[str], prepared: Preprocessing
+) -> Robot:
+    """The arm whose laws say what is ``known``: as these recordings weigh it, where a known torque depends on what links weigh.
+
+    A model says such a torque with the links it was identified with.  Taken off with the load of a description that is a third off, it
+    leaves that third to be fitted by everything else, and then comes back whole.  ``arm``: to begin with; ``of``: the trials of an arm.
+    """
+    if not any(get(f.effect).compensated() and BODY & set(get(f.effect).needs) for f in known):
+        return cad
+    return identify_nominal(cad, of(arm), laws, settings=prepared).robot(cad)
+
+
+def _at_load(cad: Robot, arm: Robot, of: Callable[[Robot], Source], laws: Sequence[str], prepared: Preprocessing) -> Nominal:
+    """The nominal model with all load that laws are of, known or not, as the ``arm`` says it; ``cad`` itself: as a first fit says it."""
+    if arm is cad:
+        return identify_nominal(cad, of(cad), laws, settings=prepared)
+    return solve_nominal(cad, accumulate(cad, of(arm)(), laws, prepared, arm.pi))
 
 
 def _regressed(

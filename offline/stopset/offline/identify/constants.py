@@ -39,7 +39,7 @@ from stopset.offline.diagnose.columns import elasticity, structure
 from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows
-from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, settled, structures, wanted
+from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, search, settled, structures, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
@@ -176,6 +176,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis engine", hypothesis, "GIVEN ROUNDS"),
     ("diagnosis evidence", evidence, "RIDGES REPEATED"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
+    ("diagnosis search", search, "LOADS"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis structure", structure, "FOOT SHORT STEP"),
     ("diagnosis structure", structures, "RATES FINER LIGHTLY"),

@@ -32,7 +32,8 @@ def folded(data: NormalEquations, robot: Robot, model: Model, new: Iterable[Reco
     known = _known(data, model)
     cad = described(robot, known)
     held = found.held_out
-    trials = (plain(r, cad, known, found.warm(r)) for r in new if r.suite_key not in held)
+    arm = cad.with_parameters(data.reference)  # what is known was taken off the earlier ones as this arm's laws say it
+    trials = (plain(r, arm, known, found.warm(r)) for r in new if r.suite_key not in held)
     return data + accumulate(cad, trials, data.layout.effects, data.settings, data.reference, compensated=data.compensated)
 
 

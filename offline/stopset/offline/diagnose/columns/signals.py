@@ -30,6 +30,7 @@ class ArmSignals:
     built_up: Array = field(default_factory=lambda: np.zeros(0))  # (n,) share of the Coulomb friction seen in the poses
     body: Array = field(default_factory=lambda: np.zeros(0))  # (10 n,) how far the links are off the description by the last fit
     drive: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) rotor, Coulomb and viscous friction by the last fit
+    weight: Array = field(default_factory=lambda: np.zeros(0))  # (10 n,) how far the links weigh something else: the load of laws
     _cache: dict[str, Array] = field(default_factory=dict)
     _signals: dict[int, Signals] = field(default_factory=dict)
     _moments: dict[bool, GravityMoments] = field(default_factory=dict)
@@ -46,9 +47,14 @@ class ArmSignals:
         """What a fit of the base model says of links (10 n,) and drives (n, 3)."""
         self.body, self.drive = body, drive
 
+    def set_weight(self, weight: Array) -> None:
+        """How far the links weigh something else than described (10 n,), by the last fit."""
+        self.weight = weight
+        self._cache.pop("load", None)
+
     def __post_init__(self) -> None:
         n = self.data.n
-        self.built_up, self.body = np.zeros(n), np.zeros(10 * n)
+        self.built_up, self.body, self.weight = np.zeros(n), np.zeros(10 * n), np.zeros(10 * n)
         self.drive = np.column_stack([self.robot.rotor, np.zeros((n, 2))])
 
     def _get(self, key: str, make: Callable[[], Array]) -> Array:
@@ -81,13 +87,13 @@ class ArmSignals:
 
     @property
     def load_fine(self) -> Array:
-        """(M, n) gravity torque at the recording's rate [N m]."""
-        chain, pi = self.robot.chain, self.robot.pi
+        """(M, n) gravity torque at the recording's rate [N m], of the links as they weigh."""
+        chain, pi = self.robot.chain, self.robot.pi + self.weight.reshape(self.robot.pi.shape)
         return self._get("load", lambda: gravity_moments(chain, pi, self.data.q_fine).torque(chain.gravity))
 
     @property
     def load_still(self) -> Array:
-        """(P, n) gravity torque of the poses [N m]."""
+        """(P, n) gravity torque of the poses [N m], as described."""
         return self._get("load_still", lambda: self.regressor_still @ self.robot.pi.ravel())
 
     def moments(self, *, still: bool) -> GravityMoments:
@@ -173,8 +179,9 @@ class ArmSignals:
     def still(self, joint: int) -> Signals:
         """Signals of the poses held still."""
         z, load = np.zeros(len(self.data.q_still)), self.load_still[:, joint]
+        weighed = load + self.regressor_still[:, joint] @ self.weight
         return Signals(
-            q=self.data.q_still[:, joint], dq=z, ddq=z, given_direction=z, load=load, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
+            q=self.data.q_still[:, joint], dq=z, ddq=z, given_direction=z, load=weighed, tau=load, dtau=z, link=load, temp=z, warm=z, t=z,
             tip=tuple(self.regressor_still[:, joint, -10:].T), tilt=tuple(self.tilt(still=True)[:, joint].T),
             stiff=self.stiff(joint, still=True)[:, joint], inertia=z, coriolis=z, dq_other=z, ddq_other=z,
         )  # fmt: skip

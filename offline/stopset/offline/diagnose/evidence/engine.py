@@ -242,6 +242,12 @@ class Engine:
         self._made.clear()
         self._columns.clear()
 
+    def weigh(self, theta: Array) -> None:
+        """Let laws of the load use what a fit says that the links weigh in the recorded torque; ``theta``: of `Hypothesis.nuisance`."""
+        self.source.set_weight(self.body(theta) + float(theta[self.drives - 1]) * self.robot.pi.ravel())
+        self._made.clear()
+        self._columns.clear()
+
     def body(self, theta: Array) -> Array:
         """(10 n,) how far a fit has the links off what was known of them; ``theta``: of `Hypothesis.nuisance`."""
         n = self.data.n

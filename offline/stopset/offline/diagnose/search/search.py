@@ -25,6 +25,8 @@ from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.progress import Progress, silent
 from stopset.types import Array
 
+LOADS = 2  # times that the load is computed anew
+
 
 @dataclass(frozen=True, slots=True)
 class Claim:
@@ -122,7 +124,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     now, retained = _needed(now, claims, hyper)
     for k, claim in enumerate(retained):
         now, retained[k] = _settled_again(now, claim, hyper, refused)
-    hyper, p = now.fit(hyper)
+    now, hyper, p = _as_loaded(now, retained, hyper)
     return Found(tuple(_as_fitted(now, retained, p.theta)), tuple(left), now, hyper, now.excesses(p.theta, hyper), first)
 
 
@@ -143,6 +145,23 @@ def _with_swings(now: Hypothesis, hyper: Hyper, p: Projection) -> tuple[Hypothes
             now.engine.update_source(p.theta)
             now = now.instead(added(now, begun(now.without(c.key), c, hyper)))
             hyper, p = now.fit(hyper)
+    return now, hyper, p
+
+
+def _as_loaded(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper) -> tuple[Hypothesis, Hyper, Projection]:
+    """The model fitted with claims of the load taken at the load of the arm as it was fitted beside them all.
+
+    They are found with that of the description, which may be any share off: a quarter at a UR10e's elbow.  Their numbers are of what the
+    links weigh: a model says them with the links that it was identified with.
+    """
+    claimed = {k.scored.candidate.key for k in claims}
+    ours = [c for c in now.active if c.key in claimed and "load" in c.effect.needs]
+    hyper, p = now.fit(hyper)
+    for _ in range(LOADS if ours and not now.engine.source.compensated else 0):
+        now.engine.weigh(p.theta)
+        for c in ours:
+            now = now.instead(replace(added(now, c), sd=c.sd, charge=c.charge))
+        hyper, p = now.fit(hyper)
     return now, hyper, p
 
 
