@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +15,21 @@ from stopset.offline.diagnose.answer import Parameter
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
-from stopset.offline.diagnose.load import nearest_body, of_a_body, says
+from stopset.offline.diagnose.load import joints_disagree, nearest_body, of_a_body, says
 from stopset.offline.diagnose.search.held_out import HeldOut
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.search import Claim, _foremost_first
+from stopset.offline.nominal.parameter_uncertainty import along, own_columns
 from stopset.offline.nominal.physical import pseudo_inertia
 from stopset.recording import Recordings
 from stopset.robot.arm import standard_parameters
+from stopset.robot.rigid import regressors, torques
 from stopset.simulation import prepare
+from stopset.types import Array
 from test_diagnose import ARM
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import payloads_poor
 
 # what a real UR10e's rows asked for with 2.805 kg mounted
 FREE = np.array([2.932, 0.08125, 0.4397, -0.4646, -0.001272, 0.0112, 0.04207, -0.001568, 0.06988, -0.1108])
@@ -106,3 +114,44 @@ def test_which_of_two_effects_that_masses_imitate_is_the_cause_does_not_hang_on_
     # where a joint keeps more than its noise the second one must stand out: both may be one error of the description
     assert not claimed(tilt, 0.026, load, 20.0) and not claimed(load, 0.026, tilt, 20.0) and claimed(tilt, 0.15, load, 20.0)
     assert claimed(tilt, 0.0, load, 1.0) and claimed(tilt, 0.0, rub, 20.0)
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_joints_whose_drives_are_off_one_by_one_do_not_make_a_mass_too_sure(seed: int) -> None:
+    """What a load weighs if every joint is taken to weigh it right is sure, and wrong; all joints together, each of which may be off, hold it."""
+    w = payloads_poor.weighed(*payloads_poor.pair(seed, good=False))
+    assert w.said is not None and w.plain is not None
+    assert payloads_poor.inside(w.mass, w.said)
+    assert not payloads_poor.inside(w.mass, w.plain)  # as it was said before
+
+
+def test_joints_that_agree_on_a_load_leave_its_interval_as_it_was() -> None:
+    w = payloads_poor.weighed(*payloads_poor.pair(3, good=True))
+    assert w.said is not None and w.plain is not None and payloads_poor.inside(w.mass, w.said)
+    assert w.said[1] < 1.1 * w.plain[1]
+
+
+def test_joints_that_do_not_agree_on_a_load_are_told() -> None:
+    assert joints_disagree({}) == ""
+    words = joints_disagree({"lift": 0.25, "bend": -0.1})
+    assert "lift 1.25, bend 0.90" in words and "torque constants" in words
+
+
+@pytest.mark.parametrize("joint", range(2))
+def test_what_a_model_left_open_is_one_torque_in_newton_metres_and_in_whitened_rows(joint: int) -> None:
+    """`along` is what the rigid body's, the rotors' and the friction's numbers make together when they change along its directions."""
+    robot, rng = robot_from_text(ARM), np.random.default_rng(joint)
+    n, k = robot.n, 2
+    F = rng.normal(size=(13 * n, k))
+    q, dq, ddq = rng.normal(size=(3, 5, n))
+
+    def torque(pi: Array, rotor: Array, dry: Array, wet: Array) -> Array:
+        return torques(robot.chain, pi, q, dq, ddq) + rotor * ddq + dry * np.sign(dq) + wet * dq
+
+    body = regressors(robot.chain, q, dq, ddq)[:, joint]
+    own = own_columns(dq[:, joint], ddq[:, joint])
+    for c in range(k):
+        pi, rotor, dry, wet = np.split(F[:, c], [10 * n, 11 * n, 12 * n])
+        expected = torque(pi.reshape(n, 10), rotor, dry, wet)[:, joint]
+        assert np.allclose(along(F, joint, body, own)[:, c], expected, atol=1e-9)
+        assert np.allclose(along(F, joint, body / 0.3, own / 0.3)[:, c], expected / 0.3, atol=1e-9)

@@ -17,9 +17,10 @@ from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Beforehand
 from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale
+from stopset.offline.diagnose.evidence.weighing import weighed
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
-from stopset.offline.diagnose.load import of_a_body, says
+from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
 from stopset.offline.diagnose.plays import Plays, plays
 from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
@@ -160,13 +161,16 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     for k, claim in enumerate(found.claims):
         c = claim.scored.candidate
         taken = steps.get(k, Step(error, error, "", c.joints))
-        fitted = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in numbers[k].items()}
+        own, disagree = _by_all_joints(
+            found, left, claim, numbers[k]
+        )  # whether there is a load is no matter of how sure its mass is
+        fitted = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in own.items()}
         given = dict(fitted if objections[k] else of_a_body(c.effect, fitted))
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
         surplus = bool(why) and not objections[k]
         lowered = 1.0 - float(taken.stated[1][taken.joint] / taken.stated[0][taken.joint])
         same = alike(engine, claim)
-        words = says(c.effect, fitted, given, described=not engine.modelled, lowered=lowered)
+        words = says(c.effect, fitted, given, described=not engine.modelled, lowered=lowered) + disagree
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
@@ -177,6 +181,22 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         )  # fmt: skip
         error = error if why else taken.after
     return tuple(out)
+
+
+def _by_all_joints(
+    found: Found, left: Left, claim: Claim, numbers: Mapping[str, Parameter]
+) -> tuple[Mapping[str, Parameter], str]:
+    """``numbers`` of a claim; of a load against a model those that all joints say together, each of which may be off (`weighed`), and
+    which of them do not agree, in words.
+
+    Against a description alone a fit takes such shares for masses of the links, and its interval holds how far these may be off.
+    """
+    now, c = found.now, claim.scored.candidate
+    if not (c.effect.carried and now.engine.modelled):
+        return numbers, ""
+    w = weighed(now, left.hyper, left.theta, c)
+    disagree = {now.engine.data.joints[j]: share for j, share in w.disagreeing().items()}
+    return parameters(replace(claim.scored, theta=w.theta), w.deviation), joints_disagree(disagree)
 
 
 def _as_before(found: Found, claim: Claim) -> str:

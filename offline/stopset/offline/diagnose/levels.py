@@ -16,6 +16,7 @@ from stopset.effects.registry import catalogue, get
 from stopset.effects.selection import of_part
 from stopset.effects.signals import Samples
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.nominal.parameter_uncertainty import along, own_columns
 from stopset.robot.rigid import regressors, torques
 from stopset.types import Array
 
@@ -115,10 +116,8 @@ def _left_open(model: Model, q: Array, dq: Array, ddq: Array) -> Array:
     F, n = np.array(model.provenance.get("left_open", []), float), model.n
     if not F.size or not len(q):
         return np.zeros((0, n, 0))
-    rubs = np.einsum("rj,jk->rjk", np.sign(dq), F[11 * n : 12 * n]) + np.einsum("rj,jk->rjk", dq, F[12 * n :])
-    return np.asarray(
-        regressors(model.robot.chain, q, dq, ddq) @ F[: 10 * n] + np.einsum("rj,jk->rjk", ddq, F[10 * n : 11 * n]) + rubs
-    )
+    Y = regressors(model.robot.chain, q, dq, ddq)
+    return np.stack([along(F, j, Y[:, j], own_columns(dq[:, j], ddq[:, j])) for j in range(n)], axis=1)
 
 
 def _open_error(columns: Array, open_by: Array) -> Array:

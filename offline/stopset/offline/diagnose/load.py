@@ -79,3 +79,14 @@ def says(
     centre = ", ".join(f"{stated[k].value / m.value:.3f}" for k in ("mx", "my", "mz"))
     body = NO_SUCH_BODY if stated != fitted else ""
     return f"{text}, centre at ({centre}) m in the last link's frame.{body}{alone}"
+
+
+def joints_disagree(shares: Mapping[str, float]) -> str:
+    """What is said of joints that feel a load heavier or lighter than the others by their ``shares``; empty where all agree."""
+    if not shares:
+        return ""
+    each = ", ".join(f"{joint} {1.0 + share:.2f}" for joint, share in shares.items())
+    return (
+        f" The joints do not agree on it (times what they say together: {each}), which its interval holds: check their torque constants, "
+        "or weigh the tool."
+    )

@@ -81,14 +81,27 @@ def left_open(robot: Robot, nominal: Nominal, sample: Sequence[Recording]) -> Ar
     Y = regressors(robot.chain, q, dq, ddq)
     felt = np.zeros((F.shape[1], F.shape[1]))
     for j in range(n):
-        torque = (
-            Y[:, j] @ F[: 10 * n] + ddq[:, [j]] * F[10 * n + j] + np.sign(dq[:, [j]]) * F[11 * n + j] + dq[:, [j]] * F[12 * n + j]
-        )
+        torque = along(F, j, Y[:, j], own_columns(dq[:, j], ddq[:, j]))
         felt += torque.T @ torque / (len(q) * max(float(nominal.rms[j]), 1e-9) ** 2)
     share, turn = np.linalg.eigh(felt)
     F = (F @ turn)[:, share > FELT**2]
     scale = 10.0 ** (DIGITS - 1 - np.floor(np.log10(np.maximum(np.abs(F), 1e-300))))
     return np.asarray(np.round(F * scale) / scale)
+
+
+def along(directions: Array, joint: int, body: Array, own: Array) -> Array:
+    """(K, k) a joint's torque along ``directions`` (13 n, k) of a model's numbers, which stand as in `left_open`.
+
+    ``body`` (K, 10 n), ``own`` (K, 3): torque per unit of the links' parameters, and of the joint's rotor and friction (`own_columns`), both
+    in N m or both whitened.
+    """
+    n = len(directions) // 13
+    return np.asarray(body @ directions[: 10 * n] + own @ directions[10 * n + joint :: n])
+
+
+def own_columns(dq: Array, ddq: Array) -> Array:
+    """(K, 3) [N m] torque per unit of a joint's rotor inertia, Coulomb and viscous friction; ``dq, ddq`` (K,)."""
+    return np.column_stack([ddq, np.sign(dq), dq])
 
 
 def _place(nominal: Nominal, joint: int, effect: str) -> int:

@@ -21,6 +21,7 @@ from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.evidence.priors import Beforehand, link_tolerance
 from stopset.offline.diagnose.rows.prepare import Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
+from stopset.offline.nominal.parameter_uncertainty import along
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -98,7 +99,7 @@ class Engine:
         for j, X in enumerate(whole):
             f = rows[j].column(np.stack([data.direction[:, j], data.dq[:, j]], axis=1) * friction[j])
             index = np.concatenate([[0], base, [1 + 15 * n], own[j], beside]).astype(np.intp)
-            X = np.column_stack([X, _along(left_open, X, j)])
+            X = np.column_stack([X, _whitened_along(left_open, X, j)])
             grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
         source.set_friction(friction)
         return Engine(
@@ -259,18 +260,16 @@ class Engine:
         return np.asarray(self.left_open @ theta[first : first + self.left_open.shape[1]])
 
 
-def _along(directions: Array, X: Array, joint: int) -> Array:
-    """(K, k) a joint's whitened columns along ``directions`` (13 n, k) of its base model; ``X``: of `base_columns`."""
-    n = len(directions) // 13
-    of_joint = directions[10 * n + joint :: n][:3]
-    return np.asarray(X[:, 1 : 1 + 10 * n] @ directions[: 10 * n] + X[:, -5:-2] @ of_joint)
+def _whitened_along(directions: Array, X: Array, joint: int) -> Array:
+    """`along` of a joint's whitened rows; ``X``: of `base_columns`."""
+    return along(directions, joint, X[:, 1 : 1 + len(directions) // 13 * 10], X[:, -5:-2])
 
 
 def _seen(left_open: Array, columns: Sequence[Array]) -> Array:
     """What a model left open and these rows would see: turned so that the directions show independently, each beyond the noise."""
     shown = np.zeros((left_open.shape[1],) * 2)
     for j, X in enumerate(columns):
-        W = _along(left_open, X, j)
+        W = _whitened_along(left_open, X, j)
         shown += W.T @ W
     size, turn = np.linalg.eigh(shown)
     return np.asarray((left_open @ turn)[:, size > 1.0])

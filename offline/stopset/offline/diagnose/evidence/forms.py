@@ -23,16 +23,20 @@ from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.types import Array, Index
 
 
-def with_forms(now: Hypothesis, claims: Sequence[Candidate], theta: Array, *, varying: bool = False) -> Hypothesis:
+def with_forms(
+    now: Hypothesis, claims: Sequence[Candidate], theta: Array, *, varying: bool = False, whole: bool = False
+) -> Hypothesis:
     """``now`` with the random effects of its ``claims``' forms; ``theta``: coefficients of `Hypothesis.nuisance`.
 
-    ``varying``: of a law with a constant beside other terms, shares of what its torque varies by (`has_no_zero`).
+    ``varying``: of a law with a constant beside other terms, shares of what its torque varies by (`has_no_zero`); ``whole``: one share of
+    all its torque for each joint, and no curves.
     """
     place = {column: k for k, column in enumerate(now.nuisance.tolist())}
     view = now.view()
     grams, size, forms = list(view.engine.grams), view.engine.size, list(view.forms)
     for c in claims:
         parts = form_columns(now.engine, c, theta[[place[k] for k in c.cols.tolist()]], varying=varying)
+        parts = {i: w[:, :1] for i, w in parts.items()} if whole else parts
         count = sum(w.shape[1] for w in parts.values())
         at = size
         for i, w in parts.items():
