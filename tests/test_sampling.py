@@ -10,6 +10,7 @@ import pytest
 from stopset.errors import RecordingError
 from stopset.offline.diagnose.rows.prepare import prepare
 from stopset.offline.diagnose.rows.sampling import in_words, sampled
+from stopset.offline.nominal.stamps import even_clock
 from stopset.recording import Meta, Recording, Recordings
 
 DT, N, NOISE = 0.008, 1500, 2e-5
@@ -41,6 +42,16 @@ def test_a_stamp_more_than_half_a_period_late_is_no_lost_sample() -> None:
     stamps[[300, 700, 1100]] += [0.62 * DT, -0.58 * DT, 0.55 * DT]
     got = sampled(recorded(np.sort(stamps), clock), DT)
     assert got.lost == 0 and not got.torn.any() and 0 < got.scatter < 1e-3
+
+
+def test_stamps_that_scatter_by_a_fifth_of_a_period_are_read_as_that_clock() -> None:
+    """Of some thousand stamps two or three beside each other are half a period off: they shared a place, and there was no clock at all."""
+    clock = DT * np.arange(4000)
+    for seed in range(5):
+        stamps = clock + np.random.default_rng(seed).normal(0, 0.18 * DT, len(clock))
+        read, lost = even_clock(np.maximum.accumulate(stamps) + 1e-9 * np.arange(len(clock)), DT)
+        assert read is not None and lost == 0
+        assert np.abs(read - clock).max() < 0.02 * DT
 
 
 def test_stamps_of_a_clock_that_is_uneven_are_believed() -> None:

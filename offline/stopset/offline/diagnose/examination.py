@@ -22,7 +22,7 @@ from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
 from stopset.offline.diagnose.plays import Plays, plays
-from stopset.offline.diagnose.remainder import Left, left_of
+from stopset.offline.diagnose.remainder import Left, left_of, shakes
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
@@ -155,7 +155,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
         why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
-        objections.append(_of_the_structure(found, claim) or why or _of_any_position(engine, claim) or _as_before(found, claim))
+        why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
+        objections.append(why or _of_any_position(engine, claim) or _as_before(found, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
@@ -202,10 +203,11 @@ def _by_all_joints(
 def _as_before(found: Found, claim: Claim) -> str:
     """Why a claim is none: the model leaves no more of the joints that it explains than it left of its own recordings.
 
-    What a model could not explain when it was identified is still there, and no change.
+    What a model could not explain when it was identified is still there, and no change.  A gear explains what it shakes, too.
     """
     engine, c = found.now.engine, claim.scored.candidate
     at = c.joints or tuple(np.flatnonzero(np.array(claim.excess_before) > np.array(claim.excess_after)).tolist())
+    at = (*at, *(j for j in range(engine.data.n) if shakes(claim, j)))
     if at and all(engine.as_before[j] for j in at):
         return "the model leaves no more there than it left of its own recordings, so it is no change since"
     return ""
@@ -234,6 +236,23 @@ def _of_the_structure(found: Found, claim: Claim) -> str:
         if where
         else ""
     )
+
+
+def _of_a_gears_form(found: Found, claim: Claim) -> str:
+    """Why a law claimed after a gear, of a joint that this shakes, is no finding: next to what the gear took away it takes nothing.
+
+    What is left of a soft gear's swing is of its form, and a law of friction or of the position takes up a part of anything.
+    """
+    c = claim.scored.candidate
+    earlier = found.claims[: found.claims.index(claim)]
+    if len(c.joints) != 1 or c.effect.role == "swing":
+        return ""
+    (j,) = c.joints
+    gears = [k.excess_before[j] - k.excess_after[j] for k in earlier if shakes(k, j)]
+    share = (claim.excess_before[j] - claim.excess_after[j]) / sum(gears) if gears else np.inf
+    if share > limit.PATTERN_SIZE:
+        return ""
+    return f"it takes away {share:.1%} of what an elastic gear took away there: what that gear's form leaves"
 
 
 def _of_any_position(engine: Engine, claim: Claim) -> str:

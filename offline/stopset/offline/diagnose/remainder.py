@@ -75,8 +75,14 @@ def pattern_size(rest: Dependence, found: Found, joint: int) -> float:
 
 
 def _at(found: Found, joint: int) -> list[Claim]:
-    """The claims that act at a joint."""
-    return [c for c in found.claims if not c.joints or joint in c.joints]
+    """The claims that act at a joint, and gears that explain a good part of it: they shake their neighbours."""
+    return [c for c in found.claims if not c.joints or joint in c.joints or shakes(c, joint)]
+
+
+def shakes(claim: Claim, joint: int) -> bool:
+    """Whether a claim is of a gear that explains a good part of what a joint's rows left unexplained."""
+    swings = claim.scored.candidate.effect.role == "swing"
+    return swings and _good_part(claim.excess_before[joint], claim.excess_after[joint])
 
 
 def verdict_of(found: Found, left: Left) -> str:

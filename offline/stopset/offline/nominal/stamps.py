@@ -30,21 +30,23 @@ def even_clock(t: Array, dt: float, near: float = NEAR) -> tuple[Array | None, i
         now += FOLLOW * (t[k] - now)
     for _ in range(2):
         period, begin = np.polyfit(place, t, 1)
-        place = _distinct(np.round((t - begin) / period))
-    even = abs(period - dt) < near * dt and bool(np.all(np.diff(place) > 0))
-    lost = int(place[-1] - place[0]) + 1 - len(place) if even else int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
+        place = _distinct((t - begin) / period)
+    even = bool(abs(period - dt) < near * dt)
+    lost = int(place[-1] - place[0]) + 1 - len(place) if even else lost_between(t, dt)
     return (begin + period * place if even else None), lost
 
 
-def _distinct(place: Array) -> Array:
-    """Places of samples of which a stamp half a period off shares its neighbour's: it belongs into the hole beside."""
-    out = place.copy()
-    for k in np.flatnonzero(np.diff(out) <= 0):
-        if k == 0 or out[k - 1] < out[k] - 1:
-            out[k] -= 1
-        elif k + 2 == len(out) or out[k + 2] > out[k + 1] + 1:
-            out[k + 1] += 1
-    return out
+def lost_between(t: Array, dt: float) -> int:
+    """Samples that are lost where those there are were taken when their stamps say, about every ``dt`` [s]."""
+    return int(np.sum(np.maximum(np.round(np.diff(t) / dt) - 1, 0)))
+
+
+def _distinct(x: Array) -> Array:
+    """Places of samples, whole numbers that rise, nearest to ``x`` (N,) in the mean square: stamps half a period off share no place."""
+    from scipy.optimize import isotonic_regression  # half a second, for what few recordings need
+
+    least = np.arange(len(x))
+    return np.asarray(least + np.round(isotonic_regression(x - least).x))
 
 
 def roughness(q: Array) -> float:

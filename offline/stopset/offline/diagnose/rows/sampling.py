@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.nominal.stamps import even_clock, roughness
+from stopset.offline.nominal.stamps import even_clock, lost_between, roughness
 from stopset.recording import Recording, Recordings
 from stopset.types import Array
 
@@ -48,7 +48,7 @@ def sampled(r: Recording, dt: float) -> Sampled:
     if _even(r.t, dt):
         return Sampled(r.t, r.q, r.tau, r.temp, np.zeros(len(r.t), np.bool_))
     clock, lost = even_clock(r.t, dt, limit.EVEN)
-    readings = [_read(r, r.t, dt, 0.0, lost)]
+    readings = [_read(r, r.t, dt, 0.0, lost_between(r.t, dt))]
     if clock is not None:
         readings.append(_read(r, clock, dt, float(np.std(r.t - clock)), lost))
     return min(readings, key=lambda x: roughness(x.q))

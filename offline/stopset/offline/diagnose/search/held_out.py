@@ -25,12 +25,14 @@ class HeldOut:
     Friction scales from motion to motion, which nothing foretells.  Where motions are few that scatter is most of the whole error, and
     hides what a law says of every one of them; what differs between motions shows in the whole error only.
     ``halves`` (n,), where blocks of time are held out: the error of either half by a fit of the other one.  Blocks lie between what was
-    fitted just before and after them, at the same places of the arm: there any curve interpolates.
+    fitted just before and after them, at the same places of the arm: there any curve interpolates.  ``scale``: how far the description was
+    taken to be off, in its tolerance.
     """
 
     whole: Array
     within: Array
     halves: Array | None = None
+    scale: float = 0.0
 
 
 def judged_on(engine: Engine) -> str:
@@ -49,15 +51,29 @@ def held_out(now: Hypothesis, hyper: Hyper) -> HeldOut:
     Where there are fewer motions than folds, blocks of time are held out in turn, with a guard interval at their ends: a motion
     left out alone would then leave nothing to fit.  Such errors speak of these motions only.
     """
-    engine, view = now.engine, now.view()
-    n = engine.data.n
+    engine, n = now.engine, now.engine.data.n
     if few_motions(engine):
         whole = _left_out(now, hyper, [by_time(engine, j) for j in range(n)])
         if len(engine.data.trials) >= limit.SCATTERED:
-            return HeldOut(whole, whole)
-        return HeldOut(whole, whole, _left_out(now, hyper, [by_half(engine, j) for j in range(n)]))
+            return HeldOut(whole, whole, None, hyper.scale)
+        return HeldOut(whole, whole, _left_out(now, hyper, [by_half(engine, j) for j in range(n)]), hyper.scale)
+    return _motions_left_out(now, hyper)
+
+
+def on_motions(now: Hypothesis, hyper: Hyper) -> HeldOut | None:
+    """`held_out` on whole motions where they are few, but three at least; else None.
+
+    What is fitted then lacks most of the places that judge: too much to ask of a claim, not of a finer form of one.
+    """
+    motions = len(np.unique(now.engine.fold_of_trial))
+    return _motions_left_out(now, hyper) if limit.SCATTERED <= motions < FOLDS else None
+
+
+def _motions_left_out(now: Hypothesis, hyper: Hyper) -> HeldOut:
+    engine, view = now.engine, now.view()
+    n = engine.data.n
     square, inner, count = np.zeros(n), np.zeros(n), np.zeros(n)
-    for fold in range(FOLDS):
+    for fold in np.unique(engine.fold_of_trial):
         G, _ = view.total(hyper, np.arange(FOLDS) != fold)
         theta = _fitted(view, hyper, G)
         for j, rows in enumerate(engine.rows):
@@ -69,7 +85,7 @@ def held_out(now: Hypothesis, hyper: Hyper) -> HeldOut:
             inner[j] += float(np.sum(rows.whiten.coloured(within[:k])[here] ** 2))
             count[j] += int(here.sum())
     count = np.maximum(count, 1)
-    return HeldOut(np.sqrt(square / count), np.sqrt(inner / count))
+    return HeldOut(np.sqrt(square / count), np.sqrt(inner / count), None, hyper.scale)
 
 
 def _left_out(now: Hypothesis, hyper: Hyper, folds: Sequence[Index]) -> Array:

@@ -67,6 +67,7 @@ def judged(
     may be off by a few percent of a joint's torque, or stands beside other claims; so must, where its joint keeps more than its noise, a
     second one of its kind, as two of them share what one description is off by (half a degree of tilt beside a load), and one of a single
     joint: what else that joint keeps looks like a scale or a rotor, and no other joint speaks against it.
+    Where links must be off by more than their tolerance without a law with levers and are not with it, it is judged against links as described.
     Where a joint keeps more than its noise whatever is claimed, many a law takes up a few percent of it: there a cause must stand out.
     What a law of friction shows too little in the whole error it may show within the motions, whatever scale friction has in each: there,
     too, it must stand out.
@@ -75,6 +76,7 @@ def judged(
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
+    before = _as_described(now, candidate, before, hyper)
     inner = Step(before, after, "", candidate.joints, inner=True)
     whole = replace(inner, inner=False)
     doubtful = _keeps_more(whole, left) and (bool(candidate.joints) or any(c.effect.absorbed for c in earlier))
@@ -87,6 +89,20 @@ def judged(
         return replace(whole, why=too_little(replace(whole, halves=True), candidate, earlier, left))
     hidden = whole.why and candidate.effect.role == "friction"
     return inner if hidden and not too_little(inner, candidate, earlier, left) else whole
+
+
+def _as_described(now: Hypothesis, candidate: Candidate, before: HeldOut, hyper: Hyper) -> HeldOut:
+    """The error ``before`` a claim with a place and levers of its own, with links that are what their description says, where ``hyper`` of
+    the fit with the claim has them so and without it they must be off by more than their tolerance.
+
+    Links that may be anything take up a gas spring over half a radian: what it explains shows in no other motion then, but in the description.
+    Of a straight piece of a law, or of a curve that bends as it likes, that may be the description's error as well.
+    """
+    geometric = candidate.effect.shapes and candidate.effect.refines
+    if not geometric or not hyper.scale <= 1.0 < before.scale:
+        return before
+    same, _ = now.refit(replace(hyper, forms=()))
+    return held_out(now, same)
 
 
 def outdone(s: Scored, asked: Sequence[Scored], refused: Set[EffectKey]) -> bool:
@@ -133,6 +149,9 @@ def _keeps_more(x: Step, left: Sequence[float]) -> bool:
 def too_little(x: Step, candidate: Candidate, earlier: Sequence[Candidate], left: Sequence[float]) -> str:
     """Why an error falls too little, empty where it does not."""
     lowered, expected, beside = _lowered(x)[1], _least(candidate, earlier), ""
+    if candidate.effect.role == "swing" and lowered > limit.LOWERED:
+        # it shakes its neighbours, whose rows may hold less noise than its own
+        lowered = _lowered(replace(x, joints=()))[1]
     keeps = x.inner or _keeps_more(x, left)
     if keeps and expected < limit.STANDS_OUT:
         expected, beside = limit.STANDS_OUT, ", as much is left there that nothing explains"

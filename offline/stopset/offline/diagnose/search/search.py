@@ -19,7 +19,7 @@ from stopset.offline.diagnose.search.lag_form import formed
 from stopset.offline.diagnose.search.predicts import judged, outdone, outdone_at_a_joint
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
-from stopset.offline.diagnose.search.settle import instead, other_gears, said_already, settle
+from stopset.offline.diagnose.search.settle import instead, likeliest_gear, said_already, settle, shows_in_its_place
 from stopset.offline.diagnose.search.settled import added, refines
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.progress import Progress, silent
@@ -91,15 +91,17 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
             break
         earlier, (top, rivals) = now, settle(now, best, hyper, refused)
         plainer = next((c for c in claimed if c.key not in beyond and refines(top.candidate, c)), None)
-        if plainer is not None:
-            top, rivals = instead(now, plainer, top, hyper), ()
-        rivals += other_gears(earlier, top, hyper)
+        top, rivals = (top, rivals) if plainer is None else (instead(now, plainer, top, hyper), ())
+        top, rivals = likeliest_gear(earlier, top, rivals, hyper)
         now, hyper, p, candidate = top.now, top.hyper, top.fit, top.candidate
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
-        otherwise = outdone(top.scored, left, refused) or outdone_at_a_joint(earlier, top.scored, left, refused, hyper)
-        if otherwise or judged(earlier, candidate, before, error, hyper, claimed).why:
+        otherwise = plainer is not None and not shows_in_its_place(earlier, top)
+        otherwise = (
+            otherwise or outdone(top.scored, left, refused) or outdone_at_a_joint(earlier, top.scored, left, refused, hyper)
+        )
+        if otherwise or _lag_of_noise(candidate, excess) or judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
             refused.add(top.scored.candidate.key)
@@ -175,6 +177,11 @@ def _as_fitted(now: Hypothesis, claims: Sequence[Claim], theta: Array) -> list[C
         value = theta[[place[k] for k in c.cols.tolist()]]
         out.append(replace(claim, scored=replace(claim.scored, candidate=c, theta=value)))
     return out
+
+
+def _lag_of_noise(c: Candidate, excess: Sequence[float]) -> bool:
+    """Whether a lag is claimed where the rows hold less than their sensors' noise without it: that noise is all there is to be shifted."""
+    return c.effect.enters == "input_delay" and all(excess[j] < 1.0 for j in c.joints)
 
 
 def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:

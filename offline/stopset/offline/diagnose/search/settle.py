@@ -13,7 +13,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Sc
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
-from stopset.offline.diagnose.search.held_out import held_out
+from stopset.offline.diagnose.search.held_out import HeldOut, held_out, on_motions
 from stopset.offline.diagnose.search.moment_arms import distinct, geared
 from stopset.offline.diagnose.search.refine import refine
 from stopset.offline.diagnose.search.settled import Settled, refines, refitted
@@ -70,15 +70,15 @@ def _leaves_as_little(plainer: Settled, top: Settled) -> bool:
 def _stays(own: Settled, top: Settled) -> bool:
     """Whether a law that identification chose in these recordings stays: the ``top`` one at its joint leaves as much of what was not fitted.
 
-    To name the other one would take out of the model a law that explains as much.
+    To name the other one would take out of the model a law that explains as much.  Where its own leaves the sensors' noise alone, evidence is
+    what it says: links, whose description speaks against it, may take up the difference, which then shows in no other motion.
     """
     a, b = own.candidate, top.candidate
-    return (
-        a.key in top.now.engine.chosen
-        and b.key not in top.now.engine.chosen
-        and a.joints == b.joints
-        and _lowers_too_little(top, own)
-    )
+    if a.key not in top.now.engine.chosen or b.key in top.now.engine.chosen or a.joints != b.joints:
+        return False
+    left = own.now.excesses(own.fit.theta, own.hyper)
+    likelier = top.evidence > own.evidence + limit.THRESHOLD and all(left[j] <= limit.SENSORS for j in a.joints)
+    return not likelier and _lowers_too_little(top, own)
 
 
 def _lowers_too_little(top: Settled, other_law: Settled) -> bool:
@@ -87,8 +87,33 @@ def _lowers_too_little(top: Settled, other_law: Settled) -> bool:
         return False
     (j,) = top.candidate.joints
     finer, other = held_out(top.now, top.hyper), held_out(other_law.now, other_law.hyper)
-    shares = (1.0 - x[j] / max(float(y[j]), 1e-12) for x, y in ((finer.whole, other.whole), (finer.within, other.within)))
-    return all(share <= limit.LOWERED for share in shares)
+    lowers = any(share > limit.LOWERED for share in _lowered(other, finer, j))
+    return not lowers or not _lowers_on_motions(other_law.now, other_law.hyper, top)
+
+
+def _lowered(before: HeldOut, after: HeldOut, joint: int) -> tuple[float, float]:
+    """Shares by which a joint's error falls, in all and within the motions."""
+    both = ((before.whole, after.whole), (before.within, after.within))
+    whole, within = (1.0 - float(y[joint]) / max(float(x[joint]), 1e-12) for x, y in both)
+    return whole, within
+
+
+def _lowers_on_motions(now: Hypothesis, hyper: Hyper, top: Settled) -> bool:
+    """Whether ``top`` lowers the error that ``now`` has on whole motions, in all or within them, and raises neither, where motions are so few
+    that blocks of time are held out.
+
+    Such a block lies between what was fitted before and after it: four numbers of a law and four motions leave no scatter between these.
+    """
+    before, after = on_motions(now, hyper), on_motions(top.now, top.hyper)
+    if before is None or after is None:
+        return True
+    shares = _lowered(before, after, top.candidate.joints[0])
+    return max(shares) > limit.LOWERED and min(shares) > -limit.LOWERED
+
+
+def shows_in_its_place(now: Hypothesis, top: Settled) -> bool:
+    """Whether the finer law ``top`` shows on whole motions, where these are few, in the place of the plainer one that ``now`` has."""
+    return _lowers_on_motions(now, now.fit(top.hyper)[0], top)
 
 
 def said_already(active: Sequence[Candidate], c: Candidate) -> bool:
@@ -108,6 +133,19 @@ def instead(now: Hypothesis, plainer: Candidate, top: Settled, hyper: Hyper) -> 
     base = now.without(plainer.key)
     h, _ = base.fit(hyper)
     return refitted(base, refine(base, top.scored, h), h)
+
+
+def likeliest_gear(
+    now: Hypothesis, gear: Settled, rivals: tuple[Scored, ...], hyper: Hyper
+) -> tuple[Settled, tuple[Scored, ...]]:
+    """The likeliest of a claimed gear and of the `other_gears`, all with their true swing, and its rivals: those that are as likely.
+
+    A joint's own gear may be none of the contenders, where it swings faster than was looked for, and one that it shakes the best of them.
+    """
+    others = [refitted(now, s, hyper) for s in other_gears(now, gear, hyper)]
+    best = max((gear, *others), key=lambda x: x.evidence)
+    least = best.evidence - best.taken_up - limit.THRESHOLD
+    return best, (*rivals, *(x.scored for x in (gear, *others) if x is not best and x.evidence > least))
 
 
 def other_gears(now: Hypothesis, gear: Settled, hyper: Hyper) -> tuple[Scored, ...]:
