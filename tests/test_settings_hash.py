@@ -47,6 +47,8 @@ LEFT_OUT = (
     ("stopset.effects.bound", "ACTING", ROLES),
     ("stopset.effects.registry", "GROUP", FORMAT),
     ("stopset.recording.seen", "SIGNALS", FORMAT),
+    ("stopset.recording.files", "LOGS", FORMAT),
+    ("stopset.offline.description.reduce", "LINK", FORMAT),
     *(("stopset.unpacked", name, REFUSED) for name in ("RATIO", "FREE", "PIECE", "TOTAL", "MESSAGE")),
     ("stopset.offline.nominal.physical", "_UPPER", CODES),
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.recording.spikes import MOVING
 from stopset.recording.types import Recording
 from stopset.types import Array
 
@@ -22,7 +23,6 @@ LEAST = 3  # steps that took another number of periods; fewer are a stumble, not
 MOST = 0.1  # share of all steps; where more do, dq is not the derivative of q or the rate is another
 LONGEST = 4  # periods that a step is told to have taken; longer ones are pauses
 WHOLE = 0.25  # of a period, by which such a step, of all joints together, may miss a whole number of them
-MOVING = 0.02  # [rad/s] of the fastest joint
 AROUND = 5  # steps to both sides, whose mean is how fast an arm moves of which nobody recorded speeds
 REST = 3  # steps of no length before or after: the arm stands there
 PLAIN = 5.0  # times the usual distance between steps and speeds (its 90th percentile) that an arm's step must be to be counted
@@ -70,9 +70,9 @@ def periods(r: Recording, h: float, speed: Array, plain_at: float = PLAIN, repea
     plain = moves & (expected > plain_at**2 * r.q.shape[1])
     ratio = (step * speed * h * weight).sum(axis=1) / np.where(plain, expected, 1.0)
     # all joints alike: a joint that hits something is not a step of two periods
-    apart = (((step - ratio[:, None] * speed * h) ** 2 * weight).sum(axis=1) / np.where(plain, expected, 1.0)) ** 0.5
+    difference = (((step - ratio[:, None] * speed * h) ** 2 * weight).sum(axis=1) / np.where(plain, expected, 1.0)) ** 0.5
     count = np.round(ratio).astype(np.intp)
-    whole = plain & (np.abs(ratio - count) < WHOLE) & (apart < WHOLE) & (count <= LONGEST)
+    whole = plain & (np.abs(ratio - count) < WHOLE) & (difference < WHOLE) & (count <= LONGEST)
     same = np.logical_and.reduce([(x[1:] == x[:-1]).all(axis=1) for x in (r.q, r.tau)])
     took = np.where(whole & (count > 1), count, 1)
     return np.where(moves & same & (expected > repeats**2 * r.q.shape[1]), 0, took)

@@ -46,11 +46,9 @@ def reduced(urdf: str, tree: Outline, held: Sequence[str], *, collision: bool = 
     pinocchio = library()
     with _heard() as complaints:
         try:
-            told_apart = _told_apart(urdf)
-            model = pinocchio.buildModelFromXML(told_apart)
-            geometry = (
-                pinocchio.buildGeomFromUrdfString(model, told_apart, pinocchio.GeometryType.COLLISION) if collision else None
-            )
+            distinct = _distinct_links(urdf)
+            model = pinocchio.buildModelFromXML(distinct)
+            geometry = pinocchio.buildGeomFromUrdfString(model, distinct, pinocchio.GeometryType.COLLISION) if collision else None
         except (ValueError, RuntimeError) as e:
             complaints.append(str(e))
     if complaints:
@@ -67,7 +65,7 @@ def reduced(urdf: str, tree: Outline, held: Sequence[str], *, collision: bool = 
     return Reduced(model, geometry)
 
 
-def _told_apart(urdf: str) -> str:
+def _distinct_links(urdf: str) -> str:
     """The description with links renamed that a joint shares its name with (a Sawyer's ``right_hand``): pinocchio keeps both in one list."""
     root = ET.fromstring(urdf)
     joints = {joint.get("name") for joint in root.iter("joint")}

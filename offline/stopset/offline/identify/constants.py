@@ -36,10 +36,10 @@ from stopset.offline.conform import (
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, plays, thresholds
 from stopset.offline.diagnose.columns import elasticity, structure
-from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty, weighing
 from stopset.offline.diagnose.rows import noise as row_noise
-from stopset.offline.diagnose.rows import prepare, rows
-from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, search, settled, structures, wanted
+from stopset.offline.diagnose.rows import prepare, rows, sampling
+from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, settled, structures, wanted
 from stopset.offline.identify import absurd, unseen
 from stopset.offline.nominal import (
     delay,
@@ -81,7 +81,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading", recorded_clock, "FEWEST_STAMPS PRINTED ROUGH WIDE PAUSE SLOWER"),
     ("reading", recorded_rows, "UNREAD"),
     ("spikes", spikes, "FEWEST RARE OUT SEEN FLAT LEVEL BESIDE MOVING ANSWER AROUND ANSWERED"),
-    ("polled readings", polled, "FEWEST_READINGS STEADY LEAST MOST LONGEST WHOLE MOVING AROUND REST PLAIN ITS"),
+    ("polled readings", polled, "FEWEST_READINGS STEADY LEAST MOST LONGEST WHOLE AROUND REST PLAIN ITS"),
     ("bent ends", ends, "SLOPE EDGE FEWEST OFF USUAL FADES MOSTLY"),
     ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
@@ -176,7 +176,8 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis engine", hypothesis, "GIVEN ROUNDS"),
     ("diagnosis evidence", evidence, "RIDGES REPEATED"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
-    ("diagnosis search", search, "LOADS"),
+    ("diagnosis weighing", weighing, "UNLIKELY"),
+    ("diagnosis rows", sampling, "ROUNDING"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis structure", structure, "FOOT SHORT STEP"),
     ("diagnosis structure", structures, "RATES FINER LIGHTLY"),

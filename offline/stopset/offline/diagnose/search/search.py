@@ -22,10 +22,9 @@ from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.search.settle import instead, likeliest_gear, said_already, settle, shows_in_its_place
 from stopset.offline.diagnose.search.settled import added, refines
 from stopset.offline.diagnose.search.wanted import exact, wanted
+from stopset.offline.nominal.friction_choice import LOADS
 from stopset.progress import Progress, silent
 from stopset.types import Array
-
-LOADS = 2  # times that the load is computed anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +96,9 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
-        otherwise = plainer is not None and not shows_in_its_place(earlier, top)
-        otherwise = (
-            otherwise or outdone(top.scored, left, refused) or outdone_at_a_joint(earlier, top.scored, left, refused, hyper)
-        )
-        if otherwise or _lag_of_noise(candidate, excess) or judged(earlier, candidate, before, error, hyper, claimed).why:
+        in_vain = (plainer is not None and not shows_in_its_place(earlier, top)) or _lag_of_noise(candidate, excess)
+        otherwise = outdone(top.scored, left, refused) or outdone_at_a_joint(earlier, top.scored, left, refused, hyper)
+        if in_vain or otherwise or judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
             refused.add(top.scored.candidate.key)
@@ -113,12 +110,10 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         if candidate.effect.role != "swing" and any(c.effect.role == "swing" for c in earlier.active):
             now, hyper, p = _with_swings(now, hyper, p)
             error = held_out(now, hyper)
-        before = error
-        after = now.excesses(p.theta, hyper)
+        before, after = error, now.excesses(p.theta, hyper)
         replaced = next((k for k in claims if plainer is not None and k.scored.candidate.key == plainer.key), None)
         since = excess if replaced is None else replaced.excess_before
-        claims = [k for k in claims if k is not replaced]
-        claims.append(Claim(top.scored, top.scored.score, rivals, since, after, lag.alike))
+        claims = [*(k for k in claims if k is not replaced), Claim(top.scored, top.scored.score, rivals, since, after, lag.alike)]
         where = "+".join(engine.data.joints[j] for j in candidate.joints) or "the whole arm"
         progress(f"so far: {candidate.effect.name} at {where}, score {top.scored.score:.0f}; asking every other again")
         excess = after
