@@ -243,9 +243,12 @@ class Engine:
         self._made.clear()
         self._columns.clear()
 
-    def weigh(self, theta: Array) -> None:
-        """Let laws of the load use what a fit says that the links weigh in the recorded torque; ``theta``: of `Hypothesis.nuisance`."""
-        self.source.set_weight(self.body(theta) + float(theta[self.drives - 1]) * self.robot.pi.ravel())
+    def weigh(self, theta: Array, carried: Array) -> None:
+        """Let laws of the load use what a fit says that the links, and the load ``carried`` (10,) by the last one, weigh in the recorded torque;
+        ``theta``: of `Hypothesis.nuisance`."""
+        weight = self.body(theta) + float(theta[self.drives - 1]) * self.robot.pi.ravel()
+        weight[-10:] += self.source.gain * carried
+        self.source.set_weight(weight)
         self._made.clear()
         self._columns.clear()
 

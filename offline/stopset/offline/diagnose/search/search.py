@@ -154,8 +154,10 @@ def _as_loaded(now: Hypothesis, claims: Sequence[Claim], hyper: Hyper) -> tuple[
     claimed = {k.scored.candidate.key for k in claims}
     ours = [c for c in now.active if c.key in claimed and "load" in c.effect.needs]
     hyper, p = now.fit(hyper)
+    place = {column: k for k, column in enumerate(now.nuisance.tolist())}
+    loads = [[place[k] for k in c.cols.tolist()] for c in now.active if c.effect.carried]
     for _ in range(LOADS if ours and not now.engine.source.compensated else 0):
-        now.engine.weigh(p.theta)
+        now.engine.weigh(p.theta, sum((p.theta[at] for at in loads), np.zeros(10)))
         for c in ours:
             now = now.instead(replace(added(now, c), sd=c.sd, charge=c.charge))
         hyper, p = now.fit(hyper)
