@@ -1,6 +1,6 @@
 """What one cycle of the monitor costs, part by part, and how late it publishes when fed over a bus by another process.
 
-``python benchmarks/monitor.py [MODEL RECORDING] [--json FILE] [--before FILE] [--no-live]``; without arguments an arm with torque
+``python benchmarks/monitor.py [MODEL RECORDING] [--json FILE] [--before FILE] [--no-live] [--horizon S]``; without arguments an arm with torque
 input, friction, gravity and 650 ages is used, alone and as twelve arms in one thread. ``--before``: the JSON of another commit, to
 which every part is set in ratio. ``--json`` writes ``{"cycle_cpu_us": {"median", "p99"}, "wall_us": {"p999"}, "parts_us"}``:
 thread CPU from the frames of a cycle in memory to packed bytes, laws evaluated, stop box tested. It is taken first in line (FIFO), as
@@ -57,6 +57,7 @@ from stopset.recording import Recording, read_recordings, write_recordings
 from stopset.sets import Box
 
 CYCLES = 4000
+HORIZON = 2.6  # [s]
 ARM_TICKS = 2000
 MOST_FRAMES = 32  # of a cycle
 DRIVES_FRAMES = 13  # SYNC and two of each drive
@@ -304,7 +305,7 @@ class replace_calls:  # noqa: N801 - reads as the verb it is
         return getattr(self._owner, name)
 
 
-def torque_input(horizon: float = 2.6) -> Model:
+def torque_input(horizon: float = HORIZON) -> Model:
     """The known arm with measured motor torque: gravity, friction and their rounding are evaluated at every sample."""
     m = known_model(horizon=horizon)
     effects = tuple(Fitted("coulomb", j, {"F_c": 3.0}, {}) for j in m.joints)
@@ -340,6 +341,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--before", type=Path, help="the JSON of another commit")
     parser.add_argument("--no-live", action="store_true", help="only the cost of a cycle")
+    parser.add_argument("--horizon", type=float, default=HORIZON, help="[s] of predictions, one age for every 4 ms of it")
     args = parser.parse_args()
     before = json.loads(args.before.read_text())["parts_us"] if args.before else {}
     folder = Path(tempfile.mkdtemp())
@@ -349,7 +351,7 @@ def main() -> None:
         save_model(known_model(), model_path)
         write_recordings(recording, meta(), [motion(s, 1000, s) for s in range(3)])
         torque_path = folder / "torque.model.json"
-        save_model(torque_input(), torque_path)
+        save_model(torque_input(args.horizon), torque_path)
         results = cycle_cost(torque_path, motion(0, CYCLES), before)
         results["many"] = many_arms(torque_path, motion(0, CYCLES), 12)
     else:

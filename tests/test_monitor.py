@@ -416,13 +416,13 @@ def test_the_worst_known_decides_the_state() -> None:
         return status.decide(x, limits)
 
     assert decide(good)[0] is State.OK
-    assert decide(replace(good, numbers=numbers(False)))[0] is State.DEGRADED
-    assert decide(replace(good, verdict=unknown))[0] is State.UNKNOWN
-    assert decide(replace(good, stale=True))[0] is State.FAULT
-    assert decide(replace(good, late=True))[0] is State.FAULT
-    assert decide(replace(good, latched="seen"))[0] is State.VIOLATION
-    assert decide(replace(good, latched="seen", stale=True))[0] is State.VIOLATION
-    assert decide(replace(good, fault="x", latched="seen"))[0] is State.FAULT
+    assert decide(structs.replace(good, numbers=numbers(False)))[0] is State.DEGRADED
+    assert decide(structs.replace(good, verdict=unknown))[0] is State.UNKNOWN
+    assert decide(structs.replace(good, stale=True))[0] is State.FAULT
+    assert decide(structs.replace(good, late=True))[0] is State.FAULT
+    assert decide(structs.replace(good, latched="seen"))[0] is State.VIOLATION
+    assert decide(structs.replace(good, latched="seen", stale=True))[0] is State.VIOLATION
+    assert decide(structs.replace(good, fault="x", latched="seen"))[0] is State.FAULT
     for change in (
         {"age": 0.031},
         {"since": 0.031},
@@ -430,13 +430,14 @@ def test_the_worst_known_decides_the_state() -> None:
         {"age": float("nan")},
         {"verdict": structs.replace(inside, oldest=0.09)},
     ):
-        assert decide(replace(good, **change))[0] is State.UNKNOWN, change
+        assert decide(structs.replace(good, **change))[0] is State.UNKNOWN, change
     assert (
-        decide(replace(good, sample=structs.replace(s, fault="the drive of arm_1_joint (node 3) is stopped")))[0] is State.UNKNOWN
+        decide(structs.replace(good, sample=structs.replace(s, fault="the drive of arm_1_joint (node 3) is stopped")))[0]
+        is State.UNKNOWN
     )
-    assert decide(replace(good, verdict=Verdict(Conformance.FAULT, "x")))[0] is State.FAULT
-    assert decide(replace(good, numbers={}))[1] and not believable(*decide(replace(good, latched="seen"))[:2])
-    outside = replace(good, verdict=Verdict(Conformance.UNKNOWN, "outside", outside=("q_a",)))
+    assert decide(structs.replace(good, verdict=Verdict(Conformance.FAULT, "x")))[0] is State.FAULT
+    assert decide(structs.replace(good, numbers={}))[1] and not believable(*decide(structs.replace(good, latched="seen"))[:2])
+    outside = structs.replace(good, verdict=Verdict(Conformance.UNKNOWN, "outside", outside=("q_a",)))
     assert not believable(*decide(outside)[:2]), "no stop number outside the domain"
 
 
@@ -498,7 +499,7 @@ def test_a_message_made_in_place_is_the_one_made_anew(rows: list[tuple[int, int,
     for k, seq, room in rows:
         now = Changing(seq, 1 + k, k, 2 + k, 3, seq, seq, abs(room), room, seq, seq)
         nonces = (seq, 0, 0, k)
-        values = now._asdict() | {"seq": seq, "boot_id": 5, "t_pub_ns": seq, "nonces": nonces}
+        values = structs.asdict(now) | {"seq": seq, "boot_id": 5, "t_pub_ns": seq, "nonces": nonces}
         assert packer.again(now, (seq, 5, seq), nonces, blocks[k]) == pack({**blocks[k], **values})
 
 

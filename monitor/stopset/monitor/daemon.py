@@ -85,6 +85,7 @@ class Daemon:
         self.latch, self.tally, self.orders = beside.latch or Latch(), RunCounts(), Orders()
         self._remind()
         self.stopping = False
+        self._patience, self._stale_s = max(PATIENCE, 2 * cycle_s), config.publish.stale_ms * 1e-3
         self.pace = Pace(cycle_s / (config.bus.time_scale if config.bus else 1.0))
         self.sample: Sample | None = None
         self.verdict: Verdict | None = None
@@ -155,7 +156,7 @@ class Daemon:
 
     def cycle(self) -> None:
         """Wait for a sample (not longer than a heartbeat), judge it, publish."""
-        sample = self.source.next(max(PATIENCE, 2 * self.cycle_s))
+        sample = self.source.next(self._patience)
         self._heed()
         begin = self.clock.monotonic()
         if sample is not None:
@@ -234,7 +235,7 @@ class Daemon:
         stamped = self.clock.time_ns() * 1e-9
         ahead = stamped - self.clock.monotonic(), stamped - now
         age = stamped - s.t if s is not None else float("inf")
-        stale = since > self.config.publish.stale_ms * 1e-3
+        stale = since > self._stale_s
         situation = Situation(
             s is not None, self._fault, stale, self._late_in_a_row >= LATE, self.latch.record.why, age, since, s, self.verdict,
             fresh, numbers, self.pace.fault,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from stopset.core.library import ffi, lib
@@ -29,7 +30,7 @@ def _struct(fields: tuple[Field, ...]) -> struct.Struct:
     return struct.Struct("<" + "".join(f"{f.count if f.count > 1 else ''}{KINDS[f.kind][0]}" for f in fields))
 
 
-class Changing(NamedTuple):
+class Changing(msgspec.Struct):  # as `stopset.monitor.sample.Sample`
     """The fields of a message that what is observed decides, in the order in which they stand in it."""
 
     t_meas_ns: int
@@ -93,14 +94,15 @@ class Packer:
             self._start(block)
             self._block, self._message.count = block, len(_NUMBERS)
             self._staying = [block.get(name, 0) for name in _STAYING]
-        t_meas, state, conformance, joint, kind, flags, count, age, room, bad, dropped = now
         seq, boot, t_pub = number
         model, config, valid, cycle, joints, margin = self._staying
         place = self._bytes
-        first = seq, boot, t_meas, t_pub, model, config, valid, state, conformance, cycle, joints, joint, kind, flags, count
-        _FIRST_STRUCT.pack_into(place, _FIRST_AT, *first)
-        _NUMBER_STRUCT.pack_into(self._numbers, 0, margin, age, room)
-        _LAST_STRUCT.pack_into(place, _LAST_AT, *nonces, self._key_id, bad, dropped, 0)
+        _FIRST_STRUCT.pack_into(
+            place, _FIRST_AT, seq, boot, now.t_meas_ns, t_pub, model, config, valid, now.state, now.conformance, cycle, joints,
+            now.first_joint, now.violation_class, now.flags, now.violation_count,
+        )  # fmt: skip
+        _NUMBER_STRUCT.pack_into(self._numbers, 0, margin, now.oldest_age, now.room_min)
+        _LAST_STRUCT.pack_into(place, _LAST_AT, *nonces, self._key_id, now.bad_nodes, now.dropped, 0)
         return self._finish()
 
     def _start(self, values: Mapping[str, Any]) -> None:

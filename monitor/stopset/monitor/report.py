@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 
 from stopset.artifact import Model
@@ -34,8 +35,7 @@ NOTICE = "Monitoring aid, not a safety function: bounds hold only for the identi
 NOTICE += "assessment must be measured (ISO 10218-1, ISO 13855)."
 
 
-@dataclass(slots=True)
-class Turn:
+class Turn(msgspec.Struct):  # as `stopset.monitor.sample.Sample`
     """What one turn of the loop has come to."""
 
     state: State
@@ -49,7 +49,7 @@ class RunCounts:
     """Counts since start, and the loop's timing since the last health message [s]."""
 
     samples: int = 0
-    verdicts: dict[str, int] = field(default_factory=lambda: {c.value: 0 for c in Conformance})
+    verdicts: dict[Conformance, int] = field(default_factory=lambda: dict.fromkeys(Conformance, 0))
     states: dict[State, int] = field(default_factory=lambda: dict.fromkeys(State, 0))  # told of samples
     outside_domain: int = 0
     gaps: int = 0
@@ -129,7 +129,7 @@ def twin(d: Monitored, turn: Turn) -> dict[str, Any]:
         "violation_class": d.latch.kind.value, "violation_cause": d.latch.record.cause or None,
         "violating_joints": list(d.latch.joints), "violations": [e.plain() for e in d.latch.entries.values()],
         "outside_domain": list(v.outside) if v else [],
-        "samples": d.tally.samples, "verdicts": dict(d.tally.verdicts),
+        "samples": d.tally.samples, "verdicts": {c.value: count for c, count in d.tally.verdicts.items()},
         "states": {s.name: count for s, count in d.tally.states.items()}, "gaps": d.tally.gaps,
         "predictions": v.compared if v else 0, "oldest_prediction_s": v.oldest if v else 0.0, "room": room,
         "tube": _tube(d),

@@ -80,7 +80,8 @@ class CycleCount:
                 step = GAP
         else:
             step = round(elapsed) if 0.5 < elapsed < 1e6 else GAP
-        self.missed += max(step - 1, 0) if step != GAP else 1
+        if step != 1:
+            self.missed += max(step - 1, 0) if step != GAP else 1
         self.k += step
         return self.k
 
@@ -118,7 +119,7 @@ class CanSource:
         """Waits for a sample if none is there; ends in time whatever else passes on the bus."""
         batch, decoder, end, wait, found = self._batch, self.decoder, self.clock.monotonic() + timeout, timeout, None
         last = decoder.frames + TURN
-        while decoder.frames < last:
+        while True:
             if batch.taken[0] == batch.count:
                 try:
                     self._refill(wait)
@@ -137,6 +138,8 @@ class CanSource:
                 if now - found.t <= self.oldest_s:
                     break
             wait = 0.0 if found is not None else max(0.0, end - self.clock.monotonic())
+            if decoder.frames >= last:
+                break
         return found
 
     def _refill(self, wait: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from stopset.monitor.certificates import Numbers
@@ -40,8 +41,7 @@ class OkConditions:
     recover: float
 
 
-@dataclass(slots=True)
-class Situation:
+class Situation(msgspec.Struct):  # as `stopset.monitor.sample.Sample`
     """Everything the state depends on, in one place. ``fault``: words of an error, empty if none; ``age``: of the last
     sample by its stamp, ``since``: since it arrived, both [s] at this moment; ``latched``: why, empty if not."""
 
@@ -81,7 +81,12 @@ def flags_of(s: Situation) -> int:
         if v.gap and v.conformance is UNKNOWN:
             bits |= _GAP
     if x is not None:
-        bits |= (0 if x.powered else _NOT_POWERED) | (_NO_TORQUE if x.tau is None else 0) | (_NODE if x.fault else 0)
+        if not x.powered:
+            bits |= _NOT_POWERED
+        if x.tau is None:
+            bits |= _NO_TORQUE
+        if x.fault:
+            bits |= _NODE
     return bits
 
 

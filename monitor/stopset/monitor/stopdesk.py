@@ -121,7 +121,8 @@ class StopDesk:
         self._motion.see(t, q, dq)
         if not self._coming.empty():
             self._come(self._coming.get_nowait())
-        self._collect()
+        if self._inbox:
+            self._collect()
         now, period = self.clock.monotonic(), 1.0 / self.stops.rate_hz
         if now >= self._again:
             self._again = float("inf")

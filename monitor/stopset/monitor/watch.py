@@ -50,6 +50,7 @@ class Watch(Check):
     _x: Array = field(init=False)  # (2n,) the last state, at its cycle
     _struct: Any = field(init=False)  # the core's `StopsetCheck`
     _pinned: Pinned = field(init=False)  # what it points at
+    _seen: Any = field(init=False)  # of it: the oldest age in use, and how many predictions are contradicted
     _slack: Array = field(init=False)  # (2n,) what the place in time of `_x` leaves unknown of it; stands in the tube's limits
     _loose: bool = False  # something of it does
     _motion: GridMotion = field(init=False)
@@ -74,7 +75,7 @@ class Watch(Check):
             "ends": pinned.shared(self._inputs.carried.ends), "u": pinned.shared(self._u), "du": pinned.shared(self._du),
             "x": pinned.shared(self._x), "start": pinned.shared(tubes.start), "widen": not self._inputs.plain,
         })  # fmt: skip
-        self._pinned = pinned
+        self._pinned, self._seen = pinned, self._struct.seen
 
     @property
     def ages(self) -> Array:
@@ -128,7 +129,7 @@ class Watch(Check):
         return ALL_ZERO if code == lib.STOPSET_ALL_ZERO else ""
 
     def _put(self, s: Sample) -> None:
-        n, here = self.model.n, self._here
+        here, n = self._here, self._here.shape[1]
         assert s.tau is not None
         if not len(s.q) == len(s.dq) == len(s.tau) == (n if s.temp is None else len(s.temp)) == n:
             raise ValueError(f"a sample of {len(s.q)} positions, {len(s.dq)} speeds, {len(s.tau)} torques for {n} joints")
@@ -189,9 +190,9 @@ class Watch(Check):
         c = self._struct
         if not (live := c.live):
             return Verdict(UNKNOWN, "nothing predicted for this sample", outside=beyond)
-        oldest, passed = c.seen
-        deviations = self.tubes.deviations(x) if passed else ()
-        return Verdict.of_comparison(deviations, beyond, live, self.tubes.seconds[oldest], self.tubes.room.copy())
+        (oldest, passed), tubes = self._seen, self.tubes
+        deviations = tubes.deviations(x) if passed else ()
+        return Verdict.of_comparison(deviations, beyond, live, tubes.seconds[oldest], tubes.room.copy())
 
 
 def check_cycle(model: Model, cycle_s: float) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from stopset.artifact.taped import Pinned
@@ -24,7 +25,7 @@ FRAME = np.dtype([("id", "=u4"), ("length", "=i4"), ("data", "u1", 8), ("t", "=f
 BYTES = {"b": 1, "h": 2, "i": 4, "q": 8, "B": 1, "H": 2, "I": 4, "Q": 8, "f": 4, "d": 8, "?": 1}
 
 
-class Cycle(NamedTuple):
+class Cycle(msgspec.Struct):  # as `stopset.monitor.sample.Sample`
     """All PDOs of one SYNC: its ``counter`` or None, its reception ``t`` [s], SI ``values`` (signals, n), NaN if absent; bit i of
     ``lacks`` set: some joint's signal i is, ``powered``: no drive says that it is not in operation."""
 
