@@ -171,16 +171,17 @@ def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> str:
 
     Of friction that does not warm up: what else there is is not all in that error.  What judges an effect leaves the laws in question that
     identification chose itself; beside these it may explain nothing more, or take the place of one that explains more.  One of those laws
-    itself becomes a revision of its own, with the diagnosis' numbers, unless the model's own explain more.
+    itself was judged on what was held out (`by_evidence`): to the recordings that it was fitted to its own number is the nearest.
     """
-    names = [x.name for x in judged if not x.why and levelled(x.name, model.robot)]
+    chosen = tuple(model.provenance.get("chosen", ()))
+    names = [x.name for x in judged if not x.why and x.name not in chosen and levelled(x.name, model.robot)]
     if not names or dict(model.provenance.get("data", {})) != dict(revised.provenance.get("data", {})):
         return ""
     before, after = (dict(zip(m.joints, m.provenance.get("left_of_own_Nm") or (), strict=False)) for m in (model, revised))
     for name, j in ((x, j) for x in names for j in parse_effect(x, model.robot)[1]):
         a, b = before.get(j), after.get(j)
         if a is not None and b is not None and b > (1.0 + limit.RISES) * a:
-            return worse_words(name, j, (a, b), tuple(model.provenance.get("chosen", ())), "in these recordings")
+            return worse_words(name, j, (a, b), chosen, "in these recordings")
     return ""
 
 
