@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from monitor_arm import known_model
 from stopset.artifact import Revision, load_model
 from stopset.cli.main import main
+from stopset.effects.base import Fitted
+from stopset.offline.campaign.settings import Settings
+from stopset.offline.revise import judge as judging
 from stopset.offline.revise.page import waterfalls
 from stopset.offline.revise.revise import stop_figures
 from stopset.offline.update.sums_file import load_sums
+from stopset.progress import silent
+from stopset.recording import Meta
 from stopset.sets import Box
 from synthetic import names, recordings, save_trials, urdf
 
@@ -204,3 +213,36 @@ def test_stops_of_two_revisions_are_compared_where_both_have_been() -> None:
     slower = dataclasses.replace(model, domain=dataclasses.replace(model.domain, dq=Box(0.99 * dq.lo, 0.99 * dq.hi)))
     here, there = stop_figures(model, slower), stop_figures(slower, model)
     assert here and here == there
+
+
+LAW, OTHER_LAW = "load_coulomb:lift", "quadratic_load:lift"
+
+
+@pytest.mark.parametrize(("name", "says"), [(LAW, "its numbers stay"), (OTHER_LAW, f"the model has {LAW} there already")])
+def test_friction_that_raises_the_error_of_motions_kept_back_is_refused(
+    monkeypatch: pytest.MonkeyPatch, name: str, says: str
+) -> None:
+    """The diagnosis said that its error falls, beside no such law; held against the model that has one it rises. Asked by name, taken by force."""
+    joints = ("turn", "lift")
+
+    def errors(lift: float) -> dict[str, float]:
+        each = {f"{key}:{j}": (lift if j == "lift" else 1.0) for key in judging.HELD_OUT for j in joints}
+        return {**dict.fromkeys(judging.HELD_OUT, 1.0), **each}
+
+    def simulated(self: Any, settings: Settings, known: Sequence[Fitted]) -> dict[str, float]:
+        return errors(1.1 if known else 1.0)
+
+    found = SimpleNamespace(name=name, before=np.array([1.0, 2.0]), after=np.array([1.0, 1.0]), fitted=Fitted(name, None, {}, {}))
+    answer = SimpleNamespace(found=(found,), before=np.array([1.0, 2.0]), words="all")
+    for target, fake in (("question", None), ("estimates", answer), ("retained_effects", ()), ("own", True)):
+        monkeypatch.setattr(judging, target, lambda *args, fake=fake: fake)
+    monkeypatch.setattr(judging.Judge, "simulated", simulated)
+    model: Any = SimpleNamespace(joints=joints, provenance={"chosen": [LAW]})
+    campaign: Any = SimpleNamespace(meta=Meta(joints=joints), trials=lambda: iter(()))
+    robot: Any = SimpleNamespace(joints=joints, n=2)
+    judge = judging.Judge(model, robot, campaign, None, silent)  # type: ignore[arg-type]
+    (told,) = judging.by_evidence(judge, Settings(), [name], None, force=False).judged
+    assert not told.helps and says in told.why and "would rise from 1 to 1.1 N m" in told.why
+    assert told.in_model == (name == LAW)
+    (forced,) = judging.by_evidence(judge, Settings(), [name], None, force=True).judged
+    assert forced.helps and not forced.why

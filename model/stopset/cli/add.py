@@ -92,8 +92,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {
             "helps": done.helps, "before": done.before, "after": done.after, "judged_on": done.judged_on,
-            "judged": [{"effect": j.name, "helps": j.helps, "before": j.before, "after": j.after, "enters": j.enters, "why": j.why}
-                       for j in done.judged],
+            "judged": [{"effect": j.name, "helps": j.helps, "before": j.before, "after": j.after, "enters": j.enters, "why": j.why,
+                        "in_model": j.in_model} for j in done.judged],
         })  # fmt: skip
     saved = save_model(done.model, args.out) if done.model is not None else None
     if args.report:

@@ -23,7 +23,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.compensated import JointStep, OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import estimates
-from stopset.offline.diagnose.evidence.baseline import settled
+from stopset.offline.diagnose.evidence.baseline import own, settled
 from stopset.offline.diagnose.lacking import rises
 from stopset.offline.diagnose.question import question
 from stopset.offline.revise.held_out import Halves, nominal_figures
@@ -50,6 +50,7 @@ class Judged:
     enters: str  # where it goes in the model
     why: str = ""
     beside: tuple[str, ...] = ()
+    in_model: bool = False  # identification chose it in these recordings: added, it gets the diagnosis' numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,27 +171,71 @@ def by_evidence(
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
     q = question(judge.model, recordings)
     answer = estimates(q, names, judge.progress)
-    found = answer.found
-    joints = judge.model.joints
+    joints, same = judge.model.joints, own(judge.model, judge.campaign.meta)
+    chosen = tuple(judge.model.provenance.get("chosen", ())) if same else ()
     judge.progress("simulating without and with it")
-    wanted = [n for n in names if any(e.name == n for e in found)]
-    more = replace(settings, effects=(*settings.effects, *wanted))
     retained = retained_effects(judge.model)
-    taken = (*retained, *(e.fitted for e in found))
-    simulated = [dict(first)] if first else [judge.simulated(settings, retained)]
-    simulated.append(judge.simulated(more, taken) if found else simulated[0])
-    start = _with_torque(simulated[0], joints, answer.before)
-    before = [_with_torque(simulated[min(k, 1)], joints, e.before) for k, e in enumerate(found)]
-    after = [_with_torque(simulated[1], joints, e.after) for e in found]
+    rubs = any(levelled(n, judge.robot) for n in names)
+    plain = dict(first) if first and not (rubs and answer.found) else judge.simulated(settings, retained)
+    found, refused = list(answer.found), dict[str, str]()
+    while True:
+        wanted = [n for n in names if any(e.name == n for e in found)]
+        more = replace(settings, effects=(*settings.effects, *wanted))
+        taken = (*retained, *(e.fitted for e in found))
+        after = judge.simulated(more, taken) if found else plain
+        worse = {} if force else _worse(judge.robot, wanted, (plain, after), chosen)
+        if not worse:
+            break
+        refused |= worse
+        found = [e for e in found if e.name not in worse]
+    start = _with_torque(first or plain, joints, answer.before)
     judged = []
     for name in names:
-        mine = [k for k, e in enumerate(found) if e.name == name]
+        mine = [e for e in answer.found if e.name == name]
         if not mine:
             judged.append(Judged(name, start, start, helps=False, enters="", why=NO_TRACE))
             continue
-        enters = entry(get(name.partition(":")[0]))
-        judged.append(Judged(name, before[mine[0]], after[mine[-1]], helps=True, enters=enters))
+        sides = (first or plain if mine[0] is answer.found[0] else after), after
+        a, b = (_with_torque(x, joints, row) for x, row in zip(sides, (mine[0].before, mine[-1].after), strict=True))
+        why = refused.get(name, "")
+        judged.append(Judged(name, a, b, not why, entry(get(name.partition(":")[0])), why, in_model=name in chosen))
     return Judgement(tuple(judged), start, more, taken, answer.words)
+
+
+def levelled(name: str, robot: Robot) -> bool:
+    """Whether an effect is friction that does not warm up: of that all that it does is in the torque error of a nominal model."""
+    effect = parse_effect(name, robot)[0]
+    return effect.role == "friction" and "warm" not in effect.needs
+
+
+def _worse(
+    robot: Robot, names: Sequence[str], errors: tuple[Mapping[str, float], Mapping[str, float]], chosen: Sequence[str]
+) -> dict[str, str]:
+    """Friction that raises the torque error of its joint on held-out data, each with the reason; ``errors``: of the nominal model without and with
+    all of ``names``, each with what the evidence chooses beside.
+
+    What judges an effect leaves the laws in question that identification chose, those of the ``chosen`` among them whose numbers were fitted
+    together with all else; the model without it has them.
+    """
+    out = {}
+    for name in names:
+        for j in parse_effect(name, robot)[1] if levelled(name, robot) else ():
+            a, b = (x[f"{HELD_OUT[0]}:{j}"] for x in errors)
+            if b > (1.0 + limit.RISES) * a:
+                out[name] = worse_words(name, j, (a, b), chosen, "on held-out data")
+                break
+    return out
+
+
+def worse_words(name: str, joint: str, errors: tuple[float, float], chosen: Sequence[str], where: str) -> str:
+    """Why friction is refused that raises the torque error [N m] that a model leaves of a joint."""
+    a, b = errors
+    rise = f"the torque that the model leaves of {joint} would rise from {a:.3g} to {b:.3g} N m {where}"
+    if name in chosen:
+        return f"the model has it already, and its numbers stay: with those that the diagnosis gives {rise}"
+    laws = ", ".join(x for x in chosen if joint in x.partition(":")[2].split("+"))
+    there = f"the model has {laws} there already" if laws else "what the model has there already explains more"
+    return f"{rise}; expected it to fall: {there}"
 
 
 def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:

@@ -24,7 +24,17 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.identify.pipeline import Identification, Keep, identified
 from stopset.offline.revise.held_out import halves
-from stopset.offline.revise.judge import HELD_OUT, Judge, Judged, Judgement, by_evidence, by_simulation, retained_effects
+from stopset.offline.revise.judge import (
+    HELD_OUT,
+    Judge,
+    Judged,
+    Judgement,
+    by_evidence,
+    by_simulation,
+    levelled,
+    retained_effects,
+    worse_words,
+)  # fmt: skip
 from stopset.progress import Progress, silent
 from stopset.reach.stops import stop
 from stopset.robot import Robot
@@ -160,23 +170,18 @@ def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> str:
     """Why a revision of the same recordings is refused whose torque error rises at a joint of what is added; empty where it does not.
 
     Of friction that does not warm up: what else there is is not all in that error.  What judges an effect leaves the laws in question that
-    identification chose itself; beside these it may explain nothing more, or take the place of one that explains more.  Those laws themselves
-    may be added: they become a revision of their own, with the diagnosis' numbers.
+    identification chose itself; beside these it may explain nothing more, or take the place of one that explains more.  One of those laws
+    itself was judged on what was held out (`by_evidence`): to the recordings that it was fitted to its own number is the nearest.
     """
-    chosen = model.provenance.get("chosen", ())
-    laws_of = {x.name: parse_effect(x.name, model.robot)[0] for x in judged if not x.why and x.name not in chosen}
-    names = [name for name, e in laws_of.items() if e.role == "friction" and "warm" not in e.needs]
+    chosen = tuple(model.provenance.get("chosen", ()))
+    names = [x.name for x in judged if not x.why and x.name not in chosen and levelled(x.name, model.robot)]
     if not names or dict(model.provenance.get("data", {})) != dict(revised.provenance.get("data", {})):
         return ""
     before, after = (dict(zip(m.joints, m.provenance.get("left_of_own_Nm") or (), strict=False)) for m in (model, revised))
-    for j in dict.fromkeys(x for name in names for x in parse_effect(name, model.robot)[1]):
+    for name, j in ((x, j) for x in names for j in parse_effect(x, model.robot)[1]):
         a, b = before.get(j), after.get(j)
         if a is not None and b is not None and b > (1.0 + limit.RISES) * a:
-            laws = ", ".join(x for x in chosen if j in x.partition(":")[2].split("+"))
-            return (
-                f"the torque that the model leaves of {j} would rise from {a:.3g} to {b:.3g} N m in these recordings; expected it to fall: "
-                + (f"the model has {laws} there already" if laws else "what the model has there already explains more")
-            )
+            return worse_words(name, j, (a, b), chosen, "in these recordings")
     return ""
 
 
