@@ -73,6 +73,33 @@ def weighed(now: Hypothesis, hyper: Hyper, theta: Array, load: Candidate) -> Wei
     return Weighing(mean, deviation, _shares(loose, h, best))
 
 
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """What a load's torque may be off by, with the load itself and all else that is claimed: its direction, a drive's scale, what it rubs."""
+
+    loose: Hypothesis
+    hyper: Hyper
+
+    @staticmethod
+    def of(now: Hypothesis, hyper: Hyper, theta: Array) -> Misfit | None:
+        """That of the load among the effects of ``now``; ``hyper``, ``theta``: its fit.  None where there is none, or no model."""
+        load = next((c for c in now.active if c.effect.carried), None)
+        if load is None or not now.engine.modelled:
+            return None
+        loose = with_forms(now, [load], theta)
+        return Misfit(loose, loose.fit(hyper)[0])
+
+    def leaves(self, now: Hypothesis, hyper: Hyper, c: Candidate) -> tuple[float, float]:
+        """Evidence for another claim of ``now``, twice the log Bayes factor: with the load taken to be told exactly, and beside all this."""
+        return says(now, hyper, c), says(self.loose, self.hyper, c)
+
+
+def says(now: Hypothesis, hyper: Hyper, c: Candidate) -> float:
+    """Twice the log Bayes factor of one of the effects of ``now``, each side at its own noise."""
+    base = now.without(c.key)
+    return now.evidence(hyper) - base.evidence(base.fit(hyper)[0])
+
+
 def _places(now: Hypothesis, columns: Index) -> list[int]:
     """Where ``columns`` stand among the coefficients of a fit."""
     place = {column: k for k, column in enumerate(now.nuisance.tolist())}
