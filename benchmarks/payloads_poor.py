@@ -5,11 +5,11 @@
 
 Drawn: an arm of four joints and 3 to 6 kg, whose description has each link's mass off by a factor (one standard deviation 50 %) and whose
 drives report torque that is off by 15 % one by one (one standard deviation each), identified from one trajectory of 30 s, and a load of
-0.2 to 1 kg weighed another day, when each joint's friction is another by 10 %.  What all drives are off by alike no recording of one arm tells, so the mean of
-their scales is 1.  ``--good``: a description that is 2 to 5 % off and
-drives that are right, for what an interval costs where nothing is wrong.  ``--real``: recordings as `payloads.py` takes them, against
-models of all and of the first third of the free ones.  Stated are the intervals that hold the load, each as `diagnose` says it and as it
-would be without regard to how the joints agree on it, and names beside it of what is not there.
+0.2 to 1 kg weighed another day, when each joint's friction is another by 10 %.  What all drives are off by alike no recording of one arm
+tells, so the mean of their scales is 1.  ``--good``: a description that is 2 to 5 % off and drives that are right, for what an interval
+costs where nothing is wrong.  ``--real``: recordings as `payloads.py` takes them, against models of all and of the first third of the free
+ones.  Stated are the intervals that hold the load, each as `diagnose` says it and as it would be without regard to how the joints agree on
+it, and names beside it of what is not there.
 """
 
 from __future__ import annotations

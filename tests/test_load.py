@@ -25,6 +25,7 @@ from stopset.recording import Recordings
 from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import regressors, torques
 from stopset.simulation import prepare
+from stopset.simulation.hidden import Hidden
 from stopset.types import Array
 from test_diagnose import ARM
 
@@ -129,6 +130,19 @@ def test_joints_that_agree_on_a_load_leave_its_interval_as_it_was() -> None:
     w = payloads_poor.weighed(*payloads_poor.pair(3, good=True))
     assert w.said is not None and w.plain is not None and payloads_poor.inside(w.mass, w.said)
     assert w.said[1] < 1.1 * w.plain[1]
+
+
+def test_what_a_load_s_own_misfit_explains_is_no_finding_beside_it() -> None:
+    """A drive that tells too much weighs the load too heavy: that its scale changed when the load came is no other cause, and was named as one."""
+    w = payloads_poor.weighed(*payloads_poor.pair(29, good=False))
+    assert w.said is not None and payloads_poor.inside(w.mass, w.said) and w.beside == ()
+
+
+def test_what_stands_out_of_a_load_s_misfit_is_named_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    inject = payloads_poor.inject
+    monkeypatch.setattr(payloads_poor, "inject", lambda cell, hidden: inject(cell, [*hidden, Hidden("spring", 0, 4.0)]))
+    w = payloads_poor.weighed(*payloads_poor.pair(60, good=True))
+    assert w.said is not None and payloads_poor.inside(w.mass, w.said) and w.beside == ("spring:j0",)
 
 
 def test_joints_that_do_not_agree_on_a_load_are_told() -> None:

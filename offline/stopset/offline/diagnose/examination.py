@@ -17,7 +17,7 @@ from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Beforehand
 from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale
-from stopset.offline.diagnose.evidence.weighing import weighed
+from stopset.offline.diagnose.evidence.weighing import Misfit, weighed
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
@@ -149,14 +149,15 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     deviation = deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
     scale = drives_scale(found.now, left.theta)
     numbers = [parameters(c.scored, d, scale) for c, d in zip(found.claims, deviation, strict=True)]
-    objections = []
+    objections, misfit = [], Misfit.of(found.now, left.hyper, left.theta)
     for claim, mine in zip(found.claims, numbers, strict=True):
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
         why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
         why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
-        objections.append(why or _of_any_position(engine, claim) or _as_before(found, claim))
+        why = why or _of_any_position(engine, claim) or _as_before(found, claim)
+        objections.append(why or _of_the_load(found, left, misfit, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
@@ -182,6 +183,20 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         )  # fmt: skip
         error = error if why else taken.after
     return tuple(out)
+
+
+def _of_the_load(found: Found, left: Left, misfit: Misfit | None, claim: Claim) -> str:
+    """Why a claim beside a load is no finding: what the load's own torque may be off by explains most of what it is claimed for."""
+    c = claim.scored.candidate
+    if misfit is None or c.effect.carried:
+        return ""
+    alone, beside = misfit.leaves(found.now, left.hyper, c)
+    if beside >= limit.TELLING * alone:
+        return ""
+    return (
+        f"what the load's torque may be off by at single joints explains most of it (score {max(beside, 0.0):.0f} beside that, {alone:.0f} "
+        "where the load is taken to be told exactly)"
+    )
 
 
 def _by_all_joints(

@@ -25,8 +25,6 @@ from stopset.offline.diagnose.evidence.uncertainty import deviations
 from stopset.robot.rigid import regressors
 from stopset.types import Array, Index
 
-UNLIKELY = 1e-4  # relative: a size of the shares that is no likelier says nothing
-
 
 @dataclass(frozen=True, slots=True)
 class Weighing:
@@ -56,21 +54,47 @@ def weighed(now: Hypothesis, hyper: Hyper, theta: Array, load: Candidate) -> Wei
         h, p = loose.refit(replace(hyper, forms=(*hyper.forms, size, limit.FORMS[-1])))
         fits.append((loose.evidence(h), size, h, p.theta))
     most = max(evidence for evidence, *_ in fits)
-    weights, values, variances = [], [], []
-    for evidence, size, h, x in fits:
-        odds = float(np.exp((evidence - most) / 2))
-        if odds > UNLIKELY:
-            own = np.array([deviations(loose, h, x, [mine])[0][t.symbol] for t in load.effect.terms])
-            twice = min(now.engine.source.gain_std, size / np.sqrt(max(1, weighing.sum()))) * x[at]
-            weights.append(odds)
-            values.append(x[at])
-            variances.append(np.maximum(own**2 - twice**2, twice**2))
-    weight, value = np.array(weights) / sum(weights), np.array(values)
+    odds = [float(np.exp((evidence - most) / 2)) for evidence, *_ in fits]
+    values, variances = [], []
+    for _, size, h, x in fits:
+        std = deviations(loose, h, x, [mine])[0]
+        own = np.array([std[t.symbol] for t in load.effect.terms])
+        twice = min(now.engine.source.gain_std, size / np.sqrt(max(1, weighing.sum()))) * x[at]
+        values.append(x[at])
+        variances.append(np.maximum(own**2 - twice**2, twice**2))
+    weight, value = np.array(odds) / sum(odds), np.array(values)
     mean = weight @ value
-    std = np.sqrt(weight @ (np.array(variances) + (value - mean) ** 2))
-    deviation = {t.symbol: float(x) for t, x in zip(load.effect.terms, std, strict=True)}
+    spread = np.sqrt(weight @ (np.array(variances) + (value - mean) ** 2))
+    deviation = {t.symbol: float(x) for t, x in zip(load.effect.terms, spread, strict=True)}
     _, _, h, best = max(fits, key=lambda fit: fit[0])
     return Weighing(mean, deviation, _shares(loose, h, best))
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """What a load's torque may be off by, with the load itself and all else that is claimed: its direction, a drive's scale, what it rubs."""
+
+    loose: Hypothesis
+    hyper: Hyper
+
+    @staticmethod
+    def of(now: Hypothesis, hyper: Hyper, theta: Array) -> Misfit | None:
+        """That of the load among the effects of ``now``; ``hyper``, ``theta``: its fit.  None where there is none, or no model."""
+        load = next((c for c in now.active if c.effect.carried), None)
+        if load is None or not now.engine.modelled:
+            return None
+        loose = with_forms(now, [load], theta)
+        return Misfit(loose, loose.fit(hyper)[0])
+
+    def leaves(self, now: Hypothesis, hyper: Hyper, c: Candidate) -> tuple[float, float]:
+        """Evidence for another claim of ``now``, twice the log Bayes factor: with the load taken to be told exactly, and beside all this."""
+        return says(now, hyper, c), says(self.loose, self.hyper, c)
+
+
+def says(now: Hypothesis, hyper: Hyper, c: Candidate) -> float:
+    """Twice the log Bayes factor of one of the effects of ``now``, each side at its own noise."""
+    base = now.without(c.key)
+    return now.evidence(hyper) - base.evidence(base.fit(hyper)[0])
 
 
 def _places(now: Hypothesis, columns: Index) -> list[int]:
