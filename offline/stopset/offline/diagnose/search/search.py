@@ -96,9 +96,9 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         if candidate.effect.role == "swing":
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
-        in_vain = (plainer is not None and not shows_in_its_place(earlier, top)) or _lag_of_noise(candidate, excess)
-        otherwise = outdone(top.scored, left, refused) or outdone_at_a_joint(earlier, top.scored, left, refused, hyper)
-        if in_vain or otherwise or judged(earlier, candidate, before, error, hyper, claimed).why:
+        worse = plainer is not None and not shows_in_its_place(earlier, top)
+        worse = worse or _said_better(earlier, top.scored, left, refused, hyper) or _lag_of_noise(candidate, excess)
+        if worse or judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
             refused.add(top.scored.candidate.key)
@@ -174,6 +174,11 @@ def _as_fitted(now: Hypothesis, claims: Sequence[Claim], theta: Array) -> list[C
         value = theta[[place[k] for k in c.cols.tolist()]]
         out.append(replace(claim, scored=replace(claim.scored, candidate=c, theta=value)))
     return out
+
+
+def _said_better(now: Hypothesis, s: Scored, asked: Sequence[Scored], refused: Set[EffectKey], hyper: Hyper) -> bool:
+    """Whether a law that was refused says far more of what a claim would explain, at its joint or at one of the arm's."""
+    return outdone(s, asked, refused) or outdone_at_a_joint(now, s, asked, refused, hyper)
 
 
 def _lag_of_noise(c: Candidate, excess: Sequence[float]) -> bool:
