@@ -122,7 +122,6 @@ FINENESS = (
     ("rows/prepare", "KERNEL LIGHT ROW_STEP WIDER ONE_DIRECTION", "how rows are smoothed and thinned; rounding"),
     ("rows/rows", "DEPENDENT", "rounding"),
     ("rows/sampling", "ROUNDING", "rounding"),
-    ("evidence/weighing", "UNLIKELY", "sizes that are as good as impossible are left out"),
     ("search/refine", "FINEST_LAG", "where a search ends"),
     ("columns/structure", "FOOT SHORT STEP", "where a structure is thought to give; of a numerical derivative"),
     ("search/structures", "RATES FINER LIGHTLY", "start values of a search"),

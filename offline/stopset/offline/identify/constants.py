@@ -36,7 +36,7 @@ from stopset.offline.conform import (
 )  # fmt: skip
 from stopset.offline.diagnose import compensated, plays, thresholds
 from stopset.offline.diagnose.columns import elasticity, structure
-from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty, weighing
+from stopset.offline.diagnose.evidence import baseline, candidate, engine, evidence, hypothesis, priors, uncertainty
 from stopset.offline.diagnose.rows import noise as row_noise
 from stopset.offline.diagnose.rows import prepare, rows, sampling
 from stopset.offline.diagnose.search import lag_form, moment_arms, refine, ripple, settled, structures, wanted
@@ -176,7 +176,6 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis engine", hypothesis, "GIVEN ROUNDS"),
     ("diagnosis evidence", evidence, "RIDGES REPEATED"),
     ("diagnosis uncertainty", uncertainty, "STEP TWO_SIDES"),
-    ("diagnosis weighing", weighing, "UNLIKELY"),
     ("diagnosis rows", sampling, "ROUNDING"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis structure", structure, "FOOT SHORT STEP"),

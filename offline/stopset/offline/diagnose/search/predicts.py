@@ -12,6 +12,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Sc
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import scores
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
+from stopset.offline.diagnose.search.settled import refines
 from stopset.types import Array
 
 
@@ -109,9 +110,11 @@ def outdone(s: Scored, asked: Sequence[Scored], refused: Set[EffectKey]) -> bool
     """Whether what a free base takes up at one joint is said far better by a law that was ``refused`` there, of all that were ``asked``.
 
     Such a claim need not show in motions that were not fitted, the other law must: that one does not show there is no reason to name the
-    other, which explains less of the same torque.
+    other, which explains less of the same torque.  Nor is a law that was refused named in a finer form that says no more.
     """
     c = s.candidate
+    if any(x.candidate.key in refused and refines(c, x.candidate) and x.score > s.score for x in asked):
+        return True
     same = (x for x in _far_likelier(s, asked, refused) if x.candidate.joints == c.joints)
     return bool(c.joints and c.effect.absorbed) and any(same)
 
