@@ -31,6 +31,7 @@ def lives(job: tuple[Path, range]) -> tuple[list[str], Counter[str]]:
     """What was broken in the lives of these seeds, and how often which state was said."""
     path, seeds = job
     model = load_model(path)
+    gc.collect()  # else the worlds of the job before are frozen, too, and 10,000 lives hold 14 GB
     gc.freeze()  # what was loaded is not looked through again at every collection
     found: list[str] = []
     states: Counter[str] = Counter()
