@@ -19,6 +19,7 @@ from real_robots import divided, ours
 
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
+from stopset.errors import StopsetError
 from stopset.offline.abstraction.nominal_part import fit_nominal
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.settings import Settings, settings_of
@@ -72,7 +73,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="+")
     for folder in parser.parse_args().folder:
-        asked(folder)
+        try:
+            asked(folder)
+        except StopsetError as e:
+            parser.error(str(e))
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
+from stopset.errors import StopsetError
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.description import load_robot
 from stopset.offline.identify.pipeline import Settings, identified
@@ -121,11 +122,18 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--same", nargs=3, metavar=("EMPTY", "LOADED", "MASS"), help="files of one motion, and the load [kg]")
     args = parser.parse_args()
-    folder: Path = args.folder
+    try:
+        asked(args.folder, args.same)
+    except (StopsetError, ValueError) as e:
+        parser.error(str(e))
+
+
+def asked(folder: Path, same: Sequence[str] | None) -> None:
+    """All that is printed, of recordings in ``folder``."""
     robot = load_robot(folder / "robot.urdf")
-    if args.same:
-        empty, loaded = (read_recordings(folder / f, robot) for f in args.same[:2])
-        same_motion(robot, empty, loaded, float(args.same[2]))
+    if same:
+        empty, loaded = (read_recordings(folder / f, robot) for f in same[:2])
+        same_motion(robot, empty, loaded, float(same[2]))
         return
     files = [folder / "identification.parquet", *sorted(folder.glob("payload_*.parquet"))]
     print("| torque's scale | recording | mass at the flange [kg] | more than the empty arm [kg] | left, sum over joints [N m] |")

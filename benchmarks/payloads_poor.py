@@ -145,6 +145,10 @@ def main() -> None:
     args = parser.parse_args()
     if args.count < 1:
         parser.error(f"--count {args.count}: no arm is drawn; expected at least 1")
+    if args.real and not args.real[1].replace(".", "", 1).isdigit():
+        parser.error(f"--real FOLDER {args.real[1]}: expected a mass in kg")
+    if args.real and not (Path(args.real[0]) / "robot.urdf").is_file():
+        parser.error(f"--real {args.real[0]}: no robot.urdf there; expected the folder of a robot and its recordings")
     print(
         "| seed | load [kg] | said, 95 % [kg] | inside | all joints taken to agree | inside | beside it |\n|---|---|---|---|---|---|---|"
     )

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.recording.repetition import POWERED
 from stopset.recording.spikes import MOVING
 from stopset.recording.types import Recording
 from stopset.types import Array
@@ -34,7 +35,7 @@ def on_its_clock(r: Recording, *, derived: bool = False) -> Recording:
 
     ``derived``: its speeds were made from angles and these stamps; they are made anew.
     """
-    if r.phase not in ("closed_loop", "open_loop") or len(r.t) < FEWEST_READINGS:
+    if r.phase not in POWERED or len(r.t) < FEWEST_READINGS:
         return r
     h = float(np.median(np.diff(r.t)))
     if np.abs(np.diff(r.t) - h).max() > STEADY * h:
@@ -47,10 +48,10 @@ def on_its_clock(r: Recording, *, derived: bool = False) -> Recording:
     if sure.sum() < LEAST or odd.sum() > MOST * len(took):
         return r
     took = periods(r, h, speed, *ITS)  # of such a logger smaller steps tell, too
-    odd, new = took != 1, np.r_[True, took > 0]
+    new = np.r_[True, took > 0]
     clock = np.r_[0, np.cumsum(took)]
     t = r.t[0] + (r.t[-1] - r.t[0]) / clock[-1] * clock[new]
-    out = replace(r.rows(np.flatnonzero(new)), t=t, again=int((took == 0).sum()), skipped=int((took[odd & (took > 0)] - 1).sum()))
+    out = replace(r.rows(np.flatnonzero(new)), t=t, again=int((took == 0).sum()), skipped=int(np.maximum(took - 1, 0).sum()))
     return replace(out, dq=np.gradient(out.q, t, axis=0)) if derived else out
 
 

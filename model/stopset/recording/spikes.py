@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stopset.recording.repetition import POWERED
 from stopset.recording.types import Recording, Spike
 from stopset.types import Array
 
@@ -57,7 +58,7 @@ def peaks(r: Recording) -> tuple[Spike, ...]:
 
 def standing_out(r: Recording, by: float = OUT) -> list[tuple[Peak, float]]:
     """Samples of a powered trial that stand out of both neighbours by more than ``by`` times what is usual of such; with the times."""
-    if r.phase not in ("closed_loop", "open_loop") or len(r.t) < FEWEST:
+    if r.phase not in POWERED or len(r.t) < FEWEST:
         return []
     before, after = r.tau[1:-1] - r.tau[:-2], r.tau[1:-1] - r.tau[2:]
     size = np.where(before * after > 0, np.where(np.abs(before) < np.abs(after), before, after), 0.0)
