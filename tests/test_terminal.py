@@ -63,6 +63,11 @@ def test_the_last_time_tells_how_long_the_next_takes(capsys: pytest.CaptureFixtu
     first, second = capsys.readouterr().err.split("thinking\n")[1:3]
     assert "by the last times here" not in first
     assert re.search(r"thinking, about \d+ s more, by the last times here", second), second
+    data.write_bytes(b"x" * 400_000)  # a hundred times as much: the seconds of a small file are those of the start
+    with steps.steps("odd", [data]) as progress:
+        progress("thinking")
+        time.sleep(0.5)
+    assert "by the last times here" not in capsys.readouterr().err
     (tmp_path / "cache" / "stopset" / "times.json").write_text("[no")
     with steps.steps("odd", [data]) as progress:
         progress("a broken memory is none")

@@ -8,7 +8,7 @@ from pathlib import Path
 from stopset.cli.common import add_output_options, check_outputs, say, write_json
 from stopset.cli.steps import steps
 
-HELP = "turn CAN logs, ROS bags, MCAP files or RTDE tables into recordings"
+HELP = "turn CAN logs, ROS bags, MCAP files or tables of other tools into recordings"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,11 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="LOG",
         help="candump (.log, also as shown on the screen), .asc, .blf, .trc, these also .gz; .mcap, .db3, also .zstd, or a bag's folder, "
-        ".bag (ROS 1); RTDE .csv",
+        ".bag (ROS 1); tables: .csv, .tsv, .txt, .dat, .npz, .mat, .parquet, of RTDE clients too",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="REC.parquet", help="the recording to write")
     parser.add_argument("--profile", default="lwa4p/monitor", help="CAN: bus profile, name or path (default: %(default)s)")
-    parser.add_argument("--cycle", type=float, metavar="S", help="SYNC or message period in seconds (default: the profile's)")
+    parser.add_argument(
+        "--cycle", type=float, metavar="S",
+        help="SYNC or message period in seconds (default: the profile's); of a table without stamps, the time between two rows",
+    )  # fmt: skip
     parser.add_argument(
         "--effort", default="motor_torque", choices=("motor_torque", "compensated_torque"),
         help="what the torque signal is, which a log does not tell (default: %(default)s)",
@@ -30,9 +33,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--topic", default="/joint_states", help="MCAP, bags: topic of JointState (default: %(default)s)")
     parser.add_argument(
         "--joints", metavar="A,B,..",
-        help="MCAP, bags: joints to keep, in this order (default: all); RTDE: names of the six (default: the maker's)",
+        help="MCAP, bags: joints to keep, in this order (default: all); tables: names of the joints from base to flange "
+        "(default: the robot's; of RTDE the maker's)",
     )  # fmt: skip
-    parser.add_argument("--torque-constant", metavar="K,K,..", help="RTDE: torque per current of each joint, link side [N m/A]")
+    parser.add_argument("--robot", metavar="URDF", help="tables: the joints are this robot's")
+    parser.add_argument(
+        "--columns", metavar="T=NAME,Q=PATTERN,..",
+        help="tables: which columns hold time, angles, speeds, torques or currents where their names do not tell, e.g. "
+        "'t=stamp,q=pos*,dq=vel*,tau=torque*'; of a table without a header their order, e.g. t,q,dq,tau (- for a block of others)",
+    )  # fmt: skip
+    parser.add_argument("--degrees", action="store_true", help="tables: angles and speeds are in degrees")
+    parser.add_argument("--torque-constant", metavar="K,K,..", help="tables: torque per current of each joint, link side [N m/A]")
     add_output_options(parser)
 
 
@@ -44,12 +55,14 @@ def run(args: argparse.Namespace) -> int:
     from stopset.monitor.rtde import is_rtde, read_rtde
     from stopset.progress import counted
     from stopset.recording import Meta, Recording, write_recordings
+    from stopset.recording.table import Stated, is_table, read_table
 
     check_outputs(args.out, args.json, args.report)
     if args.cycle is not None and not 1e-4 <= args.cycle <= 1.0:
         raise RecordingError(f"--cycle is {args.cycle}; expected seconds, from 0.0001 to 1")
     joints = tuple(args.joints.split(",")) if args.joints else None
     constants = _numbers(args.torque_constant) if args.torque_constant else None
+    stated = Stated(args.columns, joints or _joints_of(args.robot), args.degrees, constants, args.cycle)
     trials: list[Recording] = []
     meta: Meta | None = None
     with steps("import", args.log, quiet=args.quiet) as progress:
@@ -58,10 +71,14 @@ def run(args: argparse.Namespace) -> int:
                 found = list(counted(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name, progress))
                 this = meta_of_bag(found, args.effort)
                 trials += [r for r, _ in found]
-            elif is_rtde(path):
+            elif is_rtde(path) and args.columns is None:
                 this, found_here, said = read_rtde(path, joints, constants, suite)
                 trials += found_here
                 say(f"{path.name}: torque is {said}")
+            elif is_table(path):
+                this, found_here, said = read_table(path, stated, args.effort, suite)
+                trials += found_here
+                say(f"{path.name}: {said}")
             else:
                 profile = load_profile(args.profile)
                 cycle = args.cycle or profile.cycle_s
@@ -87,6 +104,12 @@ def run(args: argparse.Namespace) -> int:
         save(args.report, [args.out], None)
         say(f"report {args.report}")
     return 0
+
+
+def _joints_of(urdf: str | None) -> tuple[str, ...] | None:
+    from stopset.offline.description import load_robot
+
+    return load_robot(urdf).joints if urdf else None
 
 
 def _numbers(text: str) -> tuple[float, ...]:

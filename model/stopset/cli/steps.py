@@ -1,7 +1,8 @@
 """How far long work is, on the terminal: never silent for long, with an estimate wherever one can be made.
 
-What a step counts gives the estimate of that step. How long the whole takes is known from the last times on this machine: seconds per
-byte of recordings, kept in the user's cache folder, and forgotten with it.
+What a step counts gives the estimate of that step. How long the whole takes is known from the last time on this machine: seconds and
+bytes of recordings, kept in the user's cache folder, and forgotten with it. Of recordings much larger or smaller than those it says
+nothing: a small file's seconds are those of the start, and a large one would be told to take days by them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ OFTEN = 2.5  # [s] between two lines of the same step
 LATER, SELDOM = 60.0, 30.0  # [s] after this long, one line in so many is enough where nobody watches
 BEGINS = "loading"  # until there is a step
 BLINK = 0.5  # [s] on a terminal
+ALIKE = 4.0  # times as many bytes, or as few, as the last time: what took so long tells how long this takes
 
 
 class Steps:
@@ -104,12 +106,13 @@ def steps(command: str, data: Sequence[str | Path] = (), *, quiet: bool = False)
         yield silent
         return
     size = sum(Path(p).stat().st_size for p in data if Path(p).is_file()) or 1
-    rates = _rates()
-    known = rates.get(command)
-    found = Steps(known * size if known else None)
+    last = _last_times()
+    seconds, bytes_then = last.get(command, (0.0, 1.0))
+    alike = seconds > 0 and bytes_then / ALIKE <= size <= ALIKE * bytes_then
+    found = Steps(seconds * size / bytes_then if alike else None)
     try:
         yield found.report
-        _keep({**rates, command: found.seconds / size})
+        _keep({**last, command: (found.seconds, float(size))})
     finally:
         found.end()
 
@@ -119,20 +122,21 @@ def _file() -> Path | None:
     return None if folder is None else folder / "times.json"
 
 
-def _rates() -> dict[str, float]:
-    """Seconds per byte of each command when it last ran; what cannot be read was never known."""
+def _last_times() -> dict[str, tuple[float, float]]:
+    """Seconds and bytes of each command when it last ran; what cannot be read was never known."""
     file = _file()
     try:
         stored = json.loads(file.read_text()) if file else {}
-        return {str(k): float(v) for k, v in stored.items() if float(v) > 0}
+        found = {str(k): (float(seconds), float(size)) for k, (seconds, size) in stored.items()}
+        return {k: x for k, x in found.items() if min(x) > 0}
     except (OSError, ValueError, TypeError, AttributeError):
         return {}
 
 
-def _keep(rates: dict[str, float]) -> None:
+def _keep(times: dict[str, tuple[float, float]]) -> None:
     file = _file()
     if file is not None:
         from stopset.errors import OutputError
 
         with contextlib.suppress(OutputError):
-            write_text(file, json.dumps(rates))
+            write_text(file, json.dumps(times))

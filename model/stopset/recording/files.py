@@ -18,7 +18,8 @@ from stopset.recording.seen import open_seen
 from stopset.unpacked import Allowance, TooLargeError
 
 BATCH_ROWS = 65_536
-LOGS = frozenset({".bag", ".db3", ".zstd", ".log", ".asc", ".blf", ".trc", ".gz"})  # what `stopset import` makes recordings of
+# what `stopset import` makes recordings of
+LOGS = frozenset({".bag", ".db3", ".zstd", ".log", ".asc", ".blf", ".trc", ".gz", ".txt", ".tsv", ".dat", ".npz", ".mat"})
 TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s] of a time of day
 
 
@@ -41,7 +42,8 @@ def opened(path: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
         return open_seen(path)
     if path.suffix.lower() in LOGS:
         raise RecordingError(
-            f"{path} is a log; expected a recording (Parquet or CSV): make one of it with `stopset import {path.name} --out REC.parquet`"
+            f"{path} is a log or a table of another tool; expected a recording (Parquet or CSV): make one with "
+            f"`stopset import {path.name} --out REC.parquet`"
         )
     try:
         if path.suffix.lower() == ".csv":

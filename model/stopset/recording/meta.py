@@ -25,7 +25,7 @@ def meta_of(path: Path, schema: pa.Schema) -> Meta:
         what = ", ".join(missing[:6]) if missing else "q_<joint>"
         raise RecordingError(
             f"{path}: column {what} missing (it has {', '.join(columns[:8])}{' ...' if len(columns) > 8 else ''}); "
-            "expected suite, trial, t and q_, dq_, tau_ of every joint"
+            f"expected suite, trial, t and q_, dq_, tau_ of every joint: `stopset import {path.name} --out REC.parquet` takes tables of other tools"
         )
     notes = _assumed(path, columns) + (
         (f"{path.name} has no dq_: speeds are differences of neighbouring angles",) if derived else ()

@@ -1,0 +1,256 @@
+"""Tables as other tools write them: columns found by their names, stated, or refused in a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from stopset.cli.main import main
+from stopset.errors import RecordingError
+from stopset.recording import read_meta, read_recordings
+from stopset.recording.column_names import by_name
+from stopset.recording.table import Stated, read_table
+from synthetic import urdf
+
+N, RATE = 300, 250.0
+T = 3.0 + np.arange(N) / RATE
+Q = np.sin(np.outer(T, [0.7, 1.1, 1.3]))
+DQ = np.cos(np.outer(T, [0.7, 1.1, 1.3])) * [0.7, 1.1, 1.3]
+TAU = 5.0 * Q + DQ
+ALL = np.column_stack([T, Q, DQ, TAU])
+
+
+def text(path: Path, names: list[str], mark: str = ",", table: np.ndarray = ALL, before: str = "") -> Path:
+    rows = [mark.join(f"{x:.12g}" for x in row) for row in table]
+    path.write_text(before + "\n".join([*([mark.join(names)] if names else []), *rows]) + "\n")
+    return path
+
+
+def numbered(q: str, dq: str, tau: str, first: int = 1, t: str = "t") -> list[str]:
+    return [t, *(f"{stem.replace('#', str(k))}" for stem in (q, dq, tau) for k in range(first, first + 3))]
+
+
+WRITTEN = {
+    "plain": numbered("q#", "dq#", "tau#"),
+    "from nought": numbered("pos_#", "vel_#", "effort_#", 0, "timestamp"),
+    "brackets": numbered("position[#]", "velocity[#]", "torque[#]", 0, "time"),
+    "numbers within": numbered("joint_#_pos", "joint_#_vel", "joint_#_torque", 1, "Time [s]"),
+    "a message": numbered("field.position#", "field.velocity#", "field.effort#", 0, "field.header.stamp"),
+    "axes": numbered("q_A#", "qdot_A#", "tauMeasured_A#"),
+    "libfranka": numbered("q_#", "dq_#", "tau_J_#", 0),
+    "by name": ["t", *(f"/joint_states/{j}/{k}" for k in ("position", "velocity", "effort") for j in ("hip", "knee", "toe"))],
+}
+
+
+@pytest.mark.parametrize("names", WRITTEN.values(), ids=WRITTEN)
+@pytest.mark.parametrize("mark", [",", ";", "\t", " "])
+def test_columns_are_found_by_their_names(names: list[str], mark: str, tmp_path: Path) -> None:
+    if mark == " ":
+        names = [n.replace(" ", "_") for n in names]
+    out = tmp_path / "rec.parquet"
+    assert main(["import", str(text(tmp_path / "a.csv", names, mark)), "--out", str(out), "--quiet"]) == 0
+    (r,) = read_recordings(out)
+    assert (
+        r.t == pytest.approx(T - T[0], abs=1e-9)
+        and r.q == pytest.approx(Q)
+        and r.dq == pytest.approx(DQ)
+        and r.tau == pytest.approx(TAU)
+    )
+    assert read_meta(out).joints == (("hip", "knee", "toe") if "/" in names[1] else ("joint_1", "joint_2", "joint_3"))
+
+
+def test_what_was_asked_of_the_arm_is_not_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = [*numbered("q_d_#", "dq_d_#", "tau_ext_#", 0), *numbered("q_#", "dq_#", "tau_J_#", 0)[1:], "mode"]
+    table = np.column_stack([T, 9 * Q, 9 * DQ, 9 * TAU, Q, DQ, TAU, np.ones(N)])
+    out = tmp_path / "rec.parquet"
+    assert main(["import", str(text(tmp_path / "a.csv", names, table=table)), "--out", str(out)]) == 0
+    (r,) = read_recordings(out)
+    assert r.q == pytest.approx(Q) and r.tau == pytest.approx(TAU)
+    said = capsys.readouterr().out
+    assert "q = q_0 .. q_2" in said and "10 other columns" in said
+
+
+def test_joints_are_those_of_the_robot_whatever_the_order(tmp_path: Path) -> None:
+    """Columns by number are its joints from base to flange; by name they are sorted, and a gripper's are left."""
+    robot, out, joints = tmp_path / "arm.urdf", tmp_path / "rec.parquet", ("hip", "knee_joint", "toe")
+    robot.write_text(urdf(joints))
+    table = np.column_stack([T, *(x[:, i] for x in (Q, DQ, TAU) for i in (2, 0, 1)), T, T, T])
+    by_number = ["t", *(f"{k}{i + 1}" for k in ("q", "dq", "tau") for i in (2, 0, 1)), "x", "y", "z"]
+    by_names = [
+        "t",
+        *(f"{k}_{joints[i]}" for k in ("pos", "vel", "eff") for i in (2, 0, 1)),
+        "pos_finger",
+        "vel_finger",
+        "eff_finger",
+    ]
+    for names in (by_number, by_names):
+        assert main(["import", str(text(tmp_path / "a.csv", names, table=table)), "--out", str(out), "--robot", str(robot)]) == 0
+        (r,) = read_recordings(out)
+        assert read_meta(out).joints == joints and r.q == pytest.approx(Q) and r.tau == pytest.approx(TAU)
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+@pytest.mark.parametrize("rate", [50.0, 250.0, 1000.0])
+def test_the_unit_of_time_is_told_by_its_steps(
+    scale: float, unit: str, rate: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = np.arange(N) / rate
+    stamps = np.round(scale * (1000.0 + at)) if unit != "s" else at
+    out = tmp_path / "rec.parquet"
+    assert (
+        main(
+            [
+                "import",
+                str(text(tmp_path / "a.csv", WRITTEN["plain"], table=np.column_stack([stamps, Q, DQ, TAU]))),
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
+    (r,) = read_recordings(out)
+    assert f"time in {unit}" in capsys.readouterr().out and r.t == pytest.approx(at, abs=1e-6)
+
+
+def test_degrees_are_converted_where_they_are_told_and_refused_where_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "rec.parquet"
+    table = np.column_stack([T, np.degrees(Q), np.degrees(DQ), TAU])
+    path = text(tmp_path / "a.csv", WRITTEN["plain"], table=table)
+    assert main(["import", str(path), "--out", str(out)]) == 2 and "--degrees" in capsys.readouterr().err and not out.exists()
+    assert main(["import", str(path), "--out", str(out), "--degrees"]) == 0
+    assert read_recordings(out).trials[0].dq == pytest.approx(DQ)
+    named = [n.replace("q", "q_deg_") if n[0] == "q" else n for n in WRITTEN["plain"]]
+    assert main(["import", str(text(tmp_path / "b.csv", named, table=table)), "--out", str(out)]) == 0
+    assert read_recordings(out).trials[0].q == pytest.approx(Q)
+
+
+def test_a_table_without_a_header_has_its_columns_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "rec.parquet"
+    path, joints = text(tmp_path / "a.txt", [], " ", np.column_stack([ALL, TAU])), ["--joints", "hip,knee,toe"]
+    for options, word in (
+        (joints, "--columns"),
+        (["--columns", "t,q,dq,tau"], "--joints"),  # thirteen columns may be three blocks of four joints
+        ([*joints, "--columns", "t,q,dq,tau"], "13 columns"),
+        ([*joints, "--columns", "t,dq,tau,-"], "--columns"),
+    ):
+        assert main(["import", str(path), "--out", str(out), *options]) == 2 and word in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["import", str(path), "--out", str(out), "--columns", "t,q,dq,tau,-", *joints]) == 0
+    assert read_recordings(out).trials[0].tau == pytest.approx(TAU)
+    bare, how = text(tmp_path / "b.txt", [], " ", np.column_stack([Q, TAU])), ["--columns", "q,tau", *joints]
+    assert main(["import", str(bare), "--out", str(out), *how]) == 2 and "--cycle" in capsys.readouterr().err
+    assert main(["import", str(bare), "--out", str(out), *how, "--cycle", "0.004"]) == 0
+    (r,) = read_recordings(out)
+    assert read_meta(out).velocity == "derived" and read_meta(out).clock == "assumed" and r.t == pytest.approx(T - T[0])
+    assert r.dq[1:-1] == pytest.approx(DQ[1:-1], abs=1e-4)
+
+
+def test_a_header_may_be_a_remark(tmp_path: Path) -> None:
+    names = numbered("field.position#", "field.velocity#", "field.effort#", 0, "field.header.stamp")
+    table = np.column_stack([1e9 * T, ALL])
+    path = text(tmp_path / "echo.csv", [], table=table, before="%" + ",".join(["time", *names]) + "\n")
+    out = tmp_path / "rec.parquet"
+    assert main(["import", str(path), "--out", str(out)]) == 0
+    assert read_recordings(out).trials[0].q == pytest.approx(Q)
+
+
+def test_arrays_of_numpy_and_of_matlab_are_tables(tmp_path: Path) -> None:
+    out = tmp_path / "rec.parquet"
+    np.savez(tmp_path / "a.npz", t=T, q=Q, dq=DQ, tau=TAU, name=np.array(["x"]))
+    savemat(
+        tmp_path / "a.mat",
+        {"log": {"time": T[:, None], "pos": Q.T, "vel": DQ.T, "torque": TAU.T}, "note": "x"},
+        do_compression=True,
+    )
+    for name in ("a.npz", "a.mat"):
+        assert main(["import", str(tmp_path / name), "--out", str(out)]) == 0
+        (r,) = read_recordings(out)
+        assert r.q == pytest.approx(Q) and r.tau == pytest.approx(TAU) and r.t == pytest.approx(T - T[0])
+        out.unlink()
+
+
+def test_currents_become_torques_by_stated_constants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = text(tmp_path / "a.csv", numbered("q#", "dq#", "motor_current_#")), tmp_path / "rec.parquet"
+    assert (
+        main(["import", str(path), "--out", str(out)]) == 2
+        and "--torque-constant" in capsys.readouterr().err
+        and not out.exists()
+    )
+    assert main(["import", str(path), "--out", str(out), "--torque-constant", "10,11,12"]) == 0
+    assert read_recordings(out).trials[0].tau == pytest.approx(TAU * [10, 11, 12])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "word"),
+    [
+        (lambda t: t.replace("tau2", "other"), [], "tau"),
+        (lambda t: t.replace("q1", "x1").replace("q2", "x2").replace("q3", "x3"), [], "no column tells"),
+        (lambda t: t.replace("q3", "y"), [], "--columns"),
+        (lambda t: t.rsplit(",", 3)[0], [], "cut off"),
+        (lambda t: t.replace(",0.", ",nonsense", 1), [], "expected"),
+        (lambda t: "\n".join(t.splitlines()[:5]), [], "at least"),
+        (lambda t: "", [], "no row"),
+        (lambda t: "# nothing\n", [], "no row"),
+        (lambda t: t, ["--columns", "q=q*"], "--columns"),
+        (lambda t: t, ["--columns", "x=q*"], "--columns"),
+        (lambda t: t, ["--columns", "q=none*,tau=tau*"], "no such column"),
+        (lambda t: t, ["--joints", "a,b"], "2 joints"),
+        (lambda t: t, ["--cycle", "7"], "0.0001"),
+    ],
+)
+def test_what_is_no_table_ends_in_one_sentence(
+    spoil: Callable[[str], str], options: list[str], word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = text(tmp_path / "a.csv", WRITTEN["plain"])
+    path.write_text(spoil(path.read_text()))
+    assert main(["import", str(path), "--out", str(tmp_path / "rec.parquet"), "--quiet", *options]) == 2
+    said = capsys.readouterr().err.strip()
+    assert word in said and "\n" not in said and ("a.csv" in said or options), said
+    assert not (tmp_path / "rec.parquet").exists()
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.mat", "a.parquet", "a.txt"])
+def test_rubbish_is_no_table(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / name).write_bytes(b"\x00\x01PK" + bytes(range(256)) * 4)
+    assert main(["import", str(tmp_path / name), "--out", str(tmp_path / "r.parquet"), "--quiet"]) == 2
+    said = capsys.readouterr().err.strip()
+    assert name in said and "\n" not in said
+
+
+@pytest.mark.parametrize("name", ["a.csv", "b.txt", "a.npz", "a.mat"])
+def test_damaged_tables_end_in_a_declared_error_or_in_a_recording(name: str, tmp_path: Path) -> None:
+    """Bytes changed, cut and written twice: never anything but a `RecordingError`."""
+    text(tmp_path / "a.csv", WRITTEN["plain"])
+    text(tmp_path / "b.txt", WRITTEN["plain"], " ")
+    np.savez_compressed(tmp_path / "a.npz", t=T, q=Q, dq=DQ, tau=TAU)
+    savemat(tmp_path / "a.mat", {"t": T, "q": Q, "dq": DQ, "tau": TAU}, do_compression=True)
+    whole, rng, refused = (tmp_path / name).read_bytes(), np.random.default_rng(7), 0
+    for _ in range(300):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), rng.integers(1, 6)):
+            data[at] = rng.integers(0, 256)
+        a, b = sorted(rng.integers(0, len(data), 2).tolist())
+        data = [data, data[:a], data[:a] + data[b:], data[:b] + data[a:]][rng.integers(0, 4)]
+        (tmp_path / f"spoilt{name[1:]}").write_bytes(data)
+        try:
+            read_table(tmp_path / f"spoilt{name[1:]}", Stated(), "motor_torque", 0)
+        except RecordingError:
+            refused += 1
+    assert refused > 100
+
+
+def test_one_quantity_of_two_kinds_is_asked_back() -> None:
+    with pytest.raises(RecordingError, match="--columns"):
+        by_name(["t", "q_raw_1", "q_filtered_1", "q_raw_2", "q_filtered_2", "tau_1", "tau_2"], None)
+
+
+def test_a_recording_of_another_tool_is_told_how_it_becomes_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(text(tmp_path / "a.csv", WRITTEN["plain"]))]) in (1, 2)
+    seen = capsys.readouterr()
+    assert "stopset import a.csv" in seen.out + seen.err
