@@ -175,6 +175,36 @@ def test_arrays_of_numpy_and_of_matlab_are_tables(tmp_path: Path) -> None:
         out.unlink()
 
 
+def test_quantities_in_files_of_their_own_stand_beside_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Angles counted from nought and torques from one, neither with stamps; text without a header is called after its file."""
+    out = tmp_path / "rec.parquet"
+    q = text(tmp_path / "q.csv", [f"q{k}" for k in range(3)], table=Q)
+    tau = text(tmp_path / "tau.csv", [f"tau{k}" for k in (1, 2, 3)], table=TAU)
+    how = ["--beside", "--cycle", "0.004", "--out", str(out)]
+    assert main(["import", str(q), str(tau), *how]) == 0
+    (r,) = read_recordings(out)
+    assert r.q == pytest.approx(Q) and r.tau == pytest.approx(TAU)
+    bare = [
+        text(tmp_path / f"{stem}{k + 1}.txt", [], table=x[:, k : k + 1])
+        for stem, x in (("angle", Q), ("torque", TAU))
+        for k in range(3)
+    ]
+    assert main(["import", *map(str, bare), *how]) == 0
+    (r,) = read_recordings(out)
+    assert r.q == pytest.approx(Q) and r.tau == pytest.approx(TAU)
+    text(tmp_path / "tau.csv", [f"tau{k}" for k in (1, 2, 3)], table=TAU[:-1])
+    capsys.readouterr()
+    assert main(["import", str(q), str(tau), *how]) == 2 and "299 and 300 rows" in capsys.readouterr().err
+    (tmp_path / "log.asc").write_text("x")
+    assert main(["import", str(q), str(tmp_path / "log.asc"), *how]) == 2
+
+
+def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    savemat(tmp_path / "a.mat", {"t": np.zeros(2 * 10**7), "q": np.zeros((3, 10))}, do_compression=True)
+    assert main(["import", str(tmp_path / "a.mat"), "--out", str(tmp_path / "r.parquet")]) == 2
+    assert "unpacks to more than" in capsys.readouterr().err
+
+
 def test_currents_become_torques_by_stated_constants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = text(tmp_path / "a.csv", numbered("q#", "dq#", "motor_current_#")), tmp_path / "rec.parquet"
     assert (
@@ -239,7 +269,7 @@ def test_damaged_tables_end_in_a_declared_error_or_in_a_recording(name: str, tmp
         data = [data, data[:a], data[:a] + data[b:], data[:b] + data[a:]][rng.integers(0, 4)]
         (tmp_path / f"spoilt{name[1:]}").write_bytes(data)
         try:
-            read_table(tmp_path / f"spoilt{name[1:]}", Stated(), "motor_torque", 0)
+            read_table([tmp_path / f"spoilt{name[1:]}"], Stated(), "motor_torque", 0)
         except RecordingError:
             refused += 1
     assert refused > 100

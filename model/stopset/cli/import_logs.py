@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tables: which columns hold time, angles, speeds, torques or currents where their names do not tell, e.g. "
         "'t=stamp,q=pos*,dq=vel*,tau=torque*'; of a table without a header their order, e.g. t,q,dq,tau (- for a block of others)",
     )  # fmt: skip
+    parser.add_argument("--beside", action="store_true", help="tables: columns of one recording, row by row (q.csv tau.csv)")
     parser.add_argument("--degrees", action="store_true", help="tables: angles and speeds are in degrees")
     parser.add_argument("--torque-constant", metavar="K,K,..", help="tables: torque per current of each joint, link side [N m/A]")
     add_output_options(parser)
@@ -66,17 +67,21 @@ def run(args: argparse.Namespace) -> int:
     trials: list[Recording] = []
     meta: Meta | None = None
     with steps("import", args.log, quiet=args.quiet) as progress:
-        for suite, path in enumerate(args.log):
+        if args.beside and not all(is_table(p) for p in args.log):
+            raise RecordingError(
+                "--beside is for tables whose columns are of one recording; expected tables: import logs without it"
+            )
+        for suite, path in enumerate(args.log[:1] if args.beside else args.log):
             if is_bag(path):
                 found = list(counted(trials_of_bag(path, args.topic, joints, args.cycle, suite), None, path.name, progress))
                 this = meta_of_bag(found, args.effort)
                 trials += [r for r, _ in found]
-            elif is_rtde(path) and args.columns is None:
+            elif is_rtde(path) and args.columns is None and not args.beside:
                 this, found_here, said = read_rtde(path, joints, constants, suite)
                 trials += found_here
                 say(f"{path.name}: torque is {said}")
             elif is_table(path):
-                this, found_here, said = read_table(path, stated, args.effort, suite)
+                this, found_here, said = read_table(args.log if args.beside else [path], stated, args.effort, suite)
                 trials += found_here
                 say(f"{path.name}: {said}")
             else:

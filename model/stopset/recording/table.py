@@ -1,32 +1,25 @@
-"""Tables of other tools as recordings: text with or without a header, Parquet, NumPy's ``.npz`` and MATLAB's ``.mat``."""
+"""Tables of other tools as recordings: their columns, told by names or stated, in SI units and cut into trials."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from stopset.errors import RecordingError
 from stopset.recording.column_names import TableColumns, asked, by_name, in_blocks, words
-from stopset.recording.csv_table import open_csv
+from stopset.recording.tabular import SUFFIXES, Table, header, open_table
 from stopset.recording.types import Meta, Recording
 from stopset.types import Array
-from stopset.unpacked import Allowance, TooLargeError, check_zip
 
-TEXTS = frozenset({".csv", ".txt", ".tsv", ".dat"})
-SUFFIXES = TEXTS | {".parquet", ".npz", ".mat"}
 GAP = 5.5  # periods without a row that end a trial
 SHORTEST = 10  # rows
 TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
 FASTEST, SLOWEST = 1e-4, 0.1  # [s] between two rows of any recording of an arm
 TURNS = 8 * np.pi  # [rad] beyond which a number is in degrees
-REMARKS = ("#", "%")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +38,18 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def read_table(path: Path, stated: Stated, effort: str, suite: int) -> tuple[Meta, list[Recording], str]:
-    """Metadata, trials and what was taken for what, in words. Raises `RecordingError`."""
+def read_table(paths: Sequence[Path], stated: Stated, effort: str, suite: int) -> tuple[Meta, list[Recording], str]:
+    """Metadata, trials and what was taken for what, in words; of several tables the columns stand beside each other, row by row.
+
+    Raises `RecordingError`.
+    """
+    path = paths[0]
+    tables = [open_table(p) for p in paths]
     try:
-        names, numbers, columns = _opened(path, stated)
+        names, columns = _named(tables, stated)
     except RecordingError as e:
-        raise e if str(path) in str(e) else RecordingError(f"{path}: {e}") from e
+        raise RecordingError(f"{' beside '.join(map(str, paths))}: {e}") from e
+    numbers = _loaded(tables, names, columns)
 
     def block(which: Sequence[str]) -> Array:
         return np.stack([numbers[c] for c in which], axis=1)
@@ -76,168 +75,43 @@ def read_table(path: Path, stated: Stated, effort: str, suite: int) -> tuple[Met
     return meta, trials, said + (f"; {len(left)} other columns left out" if left else "")
 
 
-def header(path: Path) -> list[str]:
-    """The names of a text's columns, as its first line gives them. Raises `RecordingError` for an empty one."""
-    return _fields(_begins(path)[1])
-
-
 def columns_of(path: Path, names: Sequence[str]) -> dict[str, Array]:
     """Some columns of a text with a header. Raises `RecordingError`."""
-    head, marks = header(path), re.findall(r"[,;\t]", _begins(path)[1].strip())
-    return _separated(path, names) if marks else _plain(path, [head.index(c) for c in names], names, None, headed=True)
+    head = header(path)
+    return dict(zip(names, open_table(path).load([head.index(c) for c in names]), strict=True))
 
 
-def _opened(path: Path, stated: Stated) -> tuple[list[str], dict[str, Array], TableColumns]:
-    """Names of all columns, the numbers of those that are asked for, and which they are."""
-    if path.suffix.lower() in TEXTS:
-        return _text(path, stated)
-    table = _parquet(path) if path.suffix.lower() == ".parquet" else _arrays(path)
-    names = list(table)
-    columns = _columns(names, stated)
-    return names, {c: _numbers(c, table[c]) for c in _used(columns)}, columns
+def _named(tables: Sequence[Table], stated: Stated) -> tuple[list[str], TableColumns]:
+    """Names of all columns of tables that stand beside each other, and what they hold."""
+    if len(tables) == 1 and ("=" not in (stated.columns or "=") or not tables[0].names):
+        return in_blocks(tables[0].width, stated.columns, stated.joints)
+    names = [n for t in tables for n in t.names or _after(t)]
+    if len(set(names)) < len(names):  # tables that name theirs alike: each after its file, too
+        names = [f"{t.path.stem}.{n}" for t in tables for n in t.names or _after(t)]
+    return names, by_name(names, stated.joints) if stated.columns is None else asked(names, stated.columns, stated.joints)
 
 
-def _columns(names: list[str], stated: Stated) -> TableColumns:
-    return by_name(names, stated.joints) if stated.columns is None else asked(names, stated.columns, stated.joints)
+def _after(table: Table) -> list[str]:
+    """Names of the columns of a table without a header, after its file's."""
+    return [table.path.stem] if table.width == 1 else [f"{table.path.stem}_{k}" for k in range(1, table.width + 1)]
 
 
-def _used(columns: TableColumns) -> list[str]:
-    return [*([columns.t] if columns.t else []), *columns.q, *columns.dq, *columns.tau, *columns.i]
-
-
-def _text(path: Path, stated: Stated) -> tuple[list[str], dict[str, Array], TableColumns]:
-    """Separated by commas, semicolons or tabs as `open_csv` reads them, or by blanks."""
-    remark, first = _begins(path)
-    marks = re.findall(r"[,;\t]", first.strip())
-    split = _fields(first)
-    headed = not _is_number(split[0])
-    names = split if headed else _fields(remark)
-    if len(names) == len(split) and (stated.columns is None or "=" in stated.columns):
-        columns = _columns(names, stated)
-    else:
-        names, columns = in_blocks(len(split), stated.columns, stated.joints)
-    used = _used(columns)
-    if headed and marks:
-        return names, _separated(path, used), columns
-    return names, _plain(path, [names.index(c) for c in used], used, marks[0] if marks else None, headed=headed), columns
-
-
-def _begins(path: Path) -> tuple[str, str]:
-    """The last remark of a text before its first line, and that line."""
-    remark = ""
-    with path.open(encoding="utf-8-sig", errors="replace") as f:
-        for line in f:
-            if line.lstrip().startswith(REMARKS):
-                remark = line.strip().lstrip("#% ")
-            elif line.strip():
-                return remark, line
-    raise RecordingError(f"{path} holds no row; expected a table of numbers: export it again")
-
-
-def _fields(line: str) -> list[str]:
-    marks = re.findall(r"[,;\t]", line.strip())
-    return [x.strip(' "') for x in line.strip().split(marks[0])] if marks else line.split()
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _separated(path: Path, used: Sequence[str]) -> dict[str, Array]:
-    """Columns by their names in a table as `open_csv` reads them."""
-    try:
-        with open_csv(path, used.__contains__) as reader:
-            table = reader.read_all().select(list(used))
-    except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as e:
+def _loaded(tables: Sequence[Table], names: Sequence[str], columns: TableColumns) -> dict[str, Array]:
+    """The numbers of the columns that are used. Raises `RecordingError` for tables of different lengths."""
+    used = [*([columns.t] if columns.t else []), *columns.q, *columns.dq, *columns.tau, *columns.i]
+    found: dict[str, Array] = {}
+    first = 0
+    for table in tables:
+        mine = [c for c in used if first <= names.index(c) < first + table.width]
+        found |= dict(zip(mine, table.load([names.index(c) - first for c in mine]), strict=True)) if mine else {}
+        first += table.width
+    lengths = {len(x) for x in found.values()}
+    if len(lengths) > 1:
         raise RecordingError(
-            f"{path} is not a readable table ({str(e).splitlines()[0]}); expected numbers in every row: was the writing cut off?"
-        ) from e
-    return {c: _numbers(c, table.column(c).to_numpy()) for c in used}
-
-
-def _plain(path: Path, places: Sequence[int], used: Sequence[str], mark: str | None, *, headed: bool) -> dict[str, Array]:
-    """Columns by their places in a table of plain numbers."""
-    with path.open(encoding="utf-8-sig", errors="replace") as f:
-        rows = (line for line in f if line.strip() and not line.lstrip().startswith(REMARKS))
-        try:
-            table = np.loadtxt(islice(rows, int(headed), None), delimiter=mark, usecols=places, ndmin=2)
-        except (ValueError, IndexError) as e:
-            raise RecordingError(
-                f"{path}: {str(e).splitlines()[0]}; expected numbers in every row: was the writing cut off?"
-            ) from e
-    return {c: table[:, k] for k, c in enumerate(used)}
-
-
-def _parquet(path: Path) -> Mapping[str, Any]:
-    from stopset.recording.files import opened
-
-    schema, batches = opened(path)
-    found = list(batches)
-    return {n: np.concatenate([b.column(n).to_numpy(zero_copy_only=False) for b in found] or [np.empty(0)]) for n in schema.names}
-
-
-def _arrays(path: Path) -> Mapping[str, Any]:
-    """Columns of the arrays in a file; those of one with a row each sample are numbered after its name."""
-    try:
-        held = _npz(path) if path.suffix.lower() == ".npz" else _mat(path)
-    except TooLargeError as e:
-        raise RecordingError(f"{path} {e}") from e
-    except NotImplementedError as e:
-        raise RecordingError(
-            f"{path} is a MATLAB file of version 7.3; expected version 5 to 7: save(..., '-v7') or export a CSV"
-        ) from e
-    except Exception as e:  # whatever readers of a damaged file raise
-        why = f"{type(e).__name__}: {str(e)[:200]}".splitlines()[0]
-        raise RecordingError(f"{path} is not readable ({why}); expected arrays of numbers: export it again") from e
-    shapes = [x.shape for x in held.values() if x.ndim in (1, 2) and x.size]
-    rows = max((max(s) for s in shapes), default=0)
-    columns: dict[str, Any] = {}
-    for name, x in held.items():
-        if x.ndim == 2 and rows in x.shape:
-            wide = x if x.shape[0] == rows else x.T
-            columns |= {name if wide.shape[1] == 1 else f"{name}_{k}": wide[:, k - 1] for k in range(1, wide.shape[1] + 1)}
-        elif x.shape == (rows,):
-            columns[name] = x
-    return columns
-
-
-def _npz(path: Path) -> dict[str, Any]:
-    check_zip(path)
-    with np.load(path, allow_pickle=False) as f:
-        return {name: f[name] for name in f.files}
-
-
-def _mat(path: Path) -> dict[str, Any]:
-    """Arrays of a MATLAB file, those of structs under both names."""
-    from scipy.io import loadmat, whosmat
-
-    allowed = Allowance.of(path.stat().st_size)
-    for _, shape, _ in whosmat(str(path)):
-        allowed.take(8 * int(np.prod(shape, dtype=float)))
-    found: dict[str, Any] = {}
-
-    def take(prefix: str, value: Any) -> None:
-        if isinstance(value, dict):
-            for name, x in value.items():
-                if not name.startswith("__"):
-                    take(f"{prefix}{name}", x) if not isinstance(x, dict) else take(f"{prefix}{name}.", x)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
-            found[prefix] = value
-
-    take("", loadmat(str(path), simplify_cells=True))
+            f"{' beside '.join(str(t.path) for t in tables)} hold {' and '.join(map(str, sorted(lengths)))} rows; expected as many in each: were "
+            "they recorded together?"
+        )
     return found
-
-
-def _numbers(name: str, x: Any) -> Array:
-    try:
-        kind = np.asarray(x)
-        return kind.astype("datetime64[ns]").astype(np.int64) if kind.dtype.kind == "M" else np.asarray(x, dtype=np.float64)
-    except (ValueError, TypeError) as e:
-        raise RecordingError(f"column {name} holds something else ({str(e)[:80]}); expected numbers: convert it") from e
 
 
 def _seconds(
