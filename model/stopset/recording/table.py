@@ -11,7 +11,7 @@ import numpy as np
 
 from stopset.errors import RecordingError
 from stopset.recording.column_names import TableColumns, asked, by_name, in_blocks, words
-from stopset.recording.tabular import SUFFIXES, Table, header, open_table
+from stopset.recording.tabular import SUFFIXES, Tabular, header, open_table
 from stopset.recording.types import Meta, Recording
 from stopset.types import Array
 
@@ -81,7 +81,7 @@ def columns_of(path: Path, names: Sequence[str]) -> dict[str, Array]:
     return dict(zip(names, open_table(path).load([head.index(c) for c in names]), strict=True))
 
 
-def _named(tables: Sequence[Table], stated: Stated) -> tuple[list[str], TableColumns]:
+def _named(tables: Sequence[Tabular], stated: Stated) -> tuple[list[str], TableColumns]:
     """Names of all columns of tables that stand beside each other, and what they hold."""
     if len(tables) == 1 and ("=" not in (stated.columns or "=") or not tables[0].names):
         return in_blocks(tables[0].width, stated.columns, stated.joints)
@@ -91,12 +91,12 @@ def _named(tables: Sequence[Table], stated: Stated) -> tuple[list[str], TableCol
     return names, by_name(names, stated.joints) if stated.columns is None else asked(names, stated.columns, stated.joints)
 
 
-def _after(table: Table) -> list[str]:
+def _after(table: Tabular) -> list[str]:
     """Names of the columns of a table without a header, after its file's."""
     return [table.path.stem] if table.width == 1 else [f"{table.path.stem}_{k}" for k in range(1, table.width + 1)]
 
 
-def _loaded(tables: Sequence[Table], names: Sequence[str], columns: TableColumns) -> dict[str, Array]:
+def _loaded(tables: Sequence[Tabular], names: Sequence[str], columns: TableColumns) -> dict[str, Array]:
     """The numbers of the columns that are used. Raises `RecordingError` for tables of different lengths."""
     used = [*([columns.t] if columns.t else []), *columns.q, *columns.dq, *columns.tau, *columns.i]
     found: dict[str, Array] = {}

@@ -27,7 +27,7 @@ PIECE = 1 << 16  # bytes unpacked at once, to count them
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class Tabular:
     """A file's columns: their names, none where it has no header, how many, and ``load`` for the numbers of some by their places."""
 
     path: Path
@@ -36,13 +36,13 @@ class Table:
     load: Callable[[Sequence[int]], list[Array]]
 
 
-def open_table(path: Path) -> Table:
+def open_table(path: Path) -> Tabular:
     """Raises `RecordingError` for what is none."""
     if path.suffix.lower() in TEXTS:
         return _text(path)
     held = _parquet(path) if path.suffix.lower() == ".parquet" else _arrays(path)
     names = tuple(held)
-    return Table(path, names, len(names), lambda places: [_numbers(path, names[k], held[names[k]]) for k in places])
+    return Tabular(path, names, len(names), lambda places: [_numbers(path, names[k], held[names[k]]) for k in places])
 
 
 def header(path: Path) -> list[str]:
@@ -50,7 +50,7 @@ def header(path: Path) -> list[str]:
     return _fields(_begins(path)[1])
 
 
-def _text(path: Path) -> Table:
+def _text(path: Path) -> Tabular:
     """Separated by commas, semicolons or tabs as `open_csv` reads them, or by blanks; a header may be a remark."""
     remark, first = _begins(path)
     marks = re.findall(r"[,;\t]", first.strip())
@@ -58,11 +58,11 @@ def _text(path: Path) -> Table:
     if not _is_number(split[0]):
         names = tuple(split)
         if marks:
-            return Table(path, names, len(names), lambda places: _separated(path, [names[k] for k in places]))
-        return Table(path, names, len(names), lambda places: _plain(path, places, None, headed=True))
+            return Tabular(path, names, len(names), lambda places: _separated(path, [names[k] for k in places]))
+        return Tabular(path, names, len(names), lambda places: _plain(path, places, None, headed=True))
     above = tuple(_fields(remark))
     names = above if len(above) == len(split) else ()
-    return Table(path, names, len(split), lambda places: _plain(path, places, marks[0] if marks else None, headed=False))
+    return Tabular(path, names, len(split), lambda places: _plain(path, places, marks[0] if marks else None, headed=False))
 
 
 def _begins(path: Path) -> tuple[str, str]:
