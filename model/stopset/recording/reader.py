@@ -18,6 +18,7 @@ from stopset.errors import RecordingError
 from stopset.recording.clock import anew, evened
 from stopset.recording.ends import sound_part
 from stopset.recording.files import files_of, opened, sha256_of
+from stopset.recording.held import each_once
 from stopset.recording.meta import meta_of
 from stopset.recording.polled import on_its_clock
 from stopset.recording.rows import sound_rows
@@ -127,7 +128,11 @@ def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None, *, ga
             seen.add(key)
             r = replace(_trial(path, key, place, columns, joints, meta), file=number)
             _check_trial(path, r, joints, robot)
-            yield sound_part(r) if garbled else without_spikes(on_its_clock(sound_part(r), derived=meta.velocity == "derived"))
+            derived = meta.velocity == "derived"
+            # of readings that were written many times one each: what bends at the ends is looked for in these
+            if not garbled:
+                r = each_once(r, derived=derived)
+            yield sound_part(r) if garbled else without_spikes(on_its_clock(sound_part(r), derived=derived))
             place += 1
         if not seen:
             raise RecordingError(f"{path} has no rows; expected at least one trial: record it again")

@@ -82,6 +82,7 @@ class Recording:
     spikes: tuple[Spike, ...] = ()  # for which samples were left out, see `without_spikes`
     again: int = 0  # readings left out that a logger wrote again for want of a new one, see `on_its_clock`
     skipped: int = 0  # readings that it passed over: lost samples on the clock that the trial stands on
+    held: float = 1.0  # rows in which each reading stood, of which one is here, see `each_once`
     repetition: int = UNCOUNTED
     begun: int = UNCOUNTED
     other: int = 0

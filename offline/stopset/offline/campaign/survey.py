@@ -49,6 +49,7 @@ class Survey:
     low_pass: float = 0.0  # [Hz] of the filter that the recorded torque went through; 0: none was found, or looked for
     means: Array | None = None  # (trials, n) mean temperature [degC] of each trial of the phase where it is measured
     polled: tuple[int, int] = (0, 0)  # readings that a logger wrote again, and passed over, see `on_its_clock`; as `spikes`
+    held: float = 1.0  # rows in which a reading stood, at most, see `each_once`
     spikes: tuple[tuple[str, Spike], ...] = ()  # trial and torque, for which the reader left a sample out; of all phases
 
     @property
@@ -122,6 +123,7 @@ class Tally:
         default_factory=list
     )  # see `Survey`; of what this one was fed, no kept state has them
     polled: tuple[int, int] = (0, 0)
+    held: float = 1.0
     retained: list[Recording] = field(default_factory=list)
     stride: int = 1
 
@@ -131,6 +133,7 @@ class Tally:
         self.conditions.add(r.condition)
         self.spikes += [(r.label, x) for x in r.spikes]
         self.polled = (self.polled[0] + r.again, self.polled[1] + r.skipped)
+        self.held = max(self.held, r.held)
         if r.phase != self.phase or len(r.t) < 3:
             self.noise.add(r)
             return
@@ -172,7 +175,7 @@ class Tally:
             temp=self.hulls.get("temp"), sample=tuple(self.retained), irregular=self.irregular,
             session=session or Session(max(self.repeats.values()), self.places), learnt=learnt, means=np.array(self.means) if self.means else None,
             spikes=tuple(self.spikes),
-            polled=self.polled,
+            polled=self.polled, held=self.held,
         )  # fmt: skip
 
 

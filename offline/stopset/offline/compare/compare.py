@@ -153,7 +153,7 @@ def compare(model: Model, paths: Sequence[str | Path], progress: Progress = sile
     for k, j in enumerate(model.joints):
         by_joint[j]["torque_rmse_known"] = None if known is None else float(known[k])
     wrong = tuple(f.says for f in unsound(model.robot, metas[0], trials()))
-    without = left_out(model.robot, found.spikes, found.polled)
+    without = left_out(model.robot, found.spikes, found.polled, found.held)
     return Comparison(by_joint, tuple(rows), found, trials, judge.tube, judge.tightness(), judge.bands, said, wrong, without)
 
 

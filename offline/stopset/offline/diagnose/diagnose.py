@@ -129,7 +129,8 @@ def diagnose_model(
     """
     check_readings(model.robot, recordings.meta, recordings)
     readings = sum(r.again for r in recordings), sum(r.skipped for r in recordings)
-    without = left_out(model.robot, [(r.label, x) for r in recordings for x in r.spikes], readings)
+    rows = max((r.held for r in recordings), default=1.0)
+    without = left_out(model.robot, [(r.label, x) for r in recordings for x in r.spikes], readings, rows)
     if model.effort == "compensated_torque":
         from stopset.offline.diagnose.compensated import diagnose_open_loop
 

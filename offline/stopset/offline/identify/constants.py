@@ -68,7 +68,7 @@ from stopset.reach import nonlinear as flow
 from stopset.reach.stops import bounds, brakes, failed, gravity, ramp, split, tube, tubes, windows
 from stopset.reach.stops import friction as stop_friction
 from stopset.recording import clock as recorded_clock
-from stopset.recording import ends, polled, reader, repetition, spikes
+from stopset.recording import ends, held, polled, reader, repetition, spikes
 from stopset.recording import rows as recorded_rows
 from stopset.ring import interval
 from stopset.robot import drives, generic
@@ -82,6 +82,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading", recorded_rows, "UNREAD"),
     ("spikes", spikes, "FEWEST RARE OUT SEEN FLAT LEVEL BESIDE MOVING ANSWER AROUND ANSWERED"),
     ("polled readings", polled, "FEWEST_READINGS STEADY LEAST MOST LONGEST WHOLE AROUND REST PLAIN ITS"),
+    ("held readings", held, "FEWEST_READINGS TWICE EVENLY TOGETHER SIGNALS MOST LATE OF_ROWS FOLLOWS"),
     ("bent ends", ends, "SLOPE EDGE FEWEST OFF USUAL FADES MOSTLY"),
     ("robot", drives, "STANDARD_GRAVITY"),
     ("rigid body", generic, "_SNAP"),
@@ -116,7 +117,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("prior", prior, "IDENTIFICATION LIGHT CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
     ("rotors", rotors, "POSES FAR"),
-    ("scale", scale, "SHARE"),
+    ("scale", scale, "SHARE RIDGE"),
     ("unidentifiable", unidentifiable, "OPEN NOTABLE UNSEEN RANK"),
     ("abstraction choice", choose, "WINDOWS TIE"),
     ("swift inputs", swift, "LOWERS"),

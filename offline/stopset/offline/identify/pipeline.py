@@ -85,7 +85,7 @@ def identified(
         one_condition(tally.conditions)
     warnings = (
         *check_signals(robot, meta, found.sample),
-        *left_out(robot, found.spikes, found.polled),
+        *left_out(robot, found.spikes, found.polled, found.held),
         *check_files(robot, meta, source(), mixed=chosen.mixed),
     )
     for text in warnings:

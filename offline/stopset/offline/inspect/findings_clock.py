@@ -93,6 +93,18 @@ def polled(again: int, skipped: int) -> list[Finding]:
     ]  # fmt: skip
 
 
+def held(rows: float) -> list[Finding]:
+    """Readings that stood in several ``rows`` each, see `each_once`."""
+    if rows <= 1.0:
+        return []
+    return [
+        Finding("held_readings", "warning", None,
+                f"each reading of the robot stands in {rows:.3g} rows", "a row per reading",
+                "the logger writes faster than the robot answers: every command takes each reading once, at the robot's pace, and derives a dq "
+                "that was made from such rows anew; log every message once, with its own stamp", rows)
+    ]  # fmt: skip
+
+
 def _ends(t: SignalSums) -> list[Finding]:
     """Where trials begin or end in what a filter made of them."""
     out = []
@@ -114,7 +126,8 @@ def _rate(t: SignalSums, meta: Meta) -> list[Finding]:
     out = []
     mean = np.array(t.mean_period or t.period)
     usual = float(np.median(mean))
-    if np.isfinite(meta.rate_hz) and abs(usual * meta.rate_hz - 1) > OFF_RATE:
+    stated = np.isfinite(meta.rate_hz) and t.held == 1.0  # held readings have a rate of their own
+    if stated and abs(usual * meta.rate_hz - 1) > OFF_RATE:
         why = "is t in ms? correct it" if abs(np.log10(usual * meta.rate_hz)) > 1 else "correct t"
         out.append(
             Finding("rate", "warning", None, f"stamps come at {1 / usual:.4g} Hz on average",

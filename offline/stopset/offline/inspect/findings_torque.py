@@ -13,6 +13,7 @@ from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.fit import ANOTHER_ARM, NOTABLY_OFF, another_arm
 from stopset.offline.nominal.low_pass import TURNS_OVER
+from stopset.offline.nominal.scale import Rubbing
 from stopset.recording.types import Spike
 from stopset.types import Array
 
@@ -22,6 +23,8 @@ OWN_DELAY = 0.01  # [s] of one joint against the others: below, unmodelled frict
 FEWEST_TURNS = 4  # reversals of a joint from which on their scatter is known at all
 TURNED = 3.5  # standard deviations below zero: by chance in one of 4000 joints whose sign is right and that have no friction
 SHARES = {100.0: "per cent", 1000.0: "per mille"}  # of a drive's torque, as controllers report it
+PUSHES = 5.0  # standard errors below zero that friction at a joint's usual speed must be to be none
+OF_SPEED = 0.25  # of the torque, root mean square, that falls with speed; less is what a sensor behind a gear errs by
 PEAK = 4.0  # a drive's torque limit over the rated torque that its reports count in, at most
 LESS = 0.8  # measured over modelled torque below which neither a load nor a description that is off leaves it
 SHOWN = 5  # moments that are told by their time
@@ -263,6 +266,22 @@ def description(off: float) -> list[Finding]:
                 "the description of this arm, as it is mounted, with what it carries",
                 f"look whether it is another arm's{another_arm(off)}" if another else "go on: identification believes it as much less",
                 off)
+    ]  # fmt: skip
+
+
+def pushed(seen: Rubbing, joints: Sequence[str]) -> list[Finding]:
+    """Torque that steps up where a joint turns round and falls with speed to the other side of zero: no friction does."""
+    with np.errstate(invalid="ignore"):
+        pushes = -(seen.dry + seen.wet)
+        sure = (seen.dry > 0) & (pushes > PUSHES * seen.std) & (-seen.wet > OF_SPEED * seen.size)
+    return [
+        Finding("torque_lacks_part", "error", joints[j],
+                f"whatever the links weigh, the torque falls by {-seen.slope[j]:.3g} N m per rad/s of its speed, so that friction would push "
+                f"by {pushes[j]:.3g} +- {seen.std[j]:.1g} N m",
+                "a torque that rises with speed, as friction makes it",
+                "a part of what drives this joint is not in tau, such as a feed-forward of its speed: record the drive's own torque or current",
+                float(seen.slope[j]))
+        for j in np.flatnonzero(sure).tolist()
     ]  # fmt: skip
 
 

@@ -14,13 +14,14 @@ from stopset.effects.selection import of_part, usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
 from stopset.offline.inspect.finding import Finding
-from stopset.offline.inspect.findings_clock import clock, polled
+from stopset.offline.inspect.findings_clock import clock, held, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, velocity
 from stopset.offline.inspect.findings_torque import (
     RIGHT,
     RIGHT_TORN,
     misplaced,
     mounted,
+    pushed,
     spikes,
     torque_beyond,
     torque_limits,
@@ -34,7 +35,7 @@ from stopset.offline.inspect.reversals import add_reversals
 from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
-from stopset.offline.nominal.scale import torque_scales
+from stopset.offline.nominal.scale import rubbing, torque_scales
 from stopset.recording import Meta, Recording
 from stopset.recording.types import Spike
 from stopset.robot import Robot
@@ -75,10 +76,12 @@ def check_signals(robot: Robot, meta: Meta, sample: Sequence[Recording]) -> tupl
     return _in_words(found)
 
 
-def left_out(robot: Robot, seen: Sequence[tuple[str, Spike]], readings: tuple[int, int] = (0, 0)) -> tuple[str, ...]:
-    """What of trials was left out, in the words of `stopset inspect`: samples whose torque is none, and ``readings`` that a logger wrote again
-    or passed over; both as a survey counts them."""
-    return _in_words([*spikes(seen, robot.joints), *polled(*readings)])
+def left_out(
+    robot: Robot, seen: Sequence[tuple[str, Spike]], readings: tuple[int, int] = (0, 0), rows: float = 1.0
+) -> tuple[str, ...]:
+    """What of trials was left out, in the words of `stopset inspect`: samples whose torque is none, ``readings`` that a logger wrote again
+    or passed over, and what stood in several ``rows`` each; all as a survey counts them."""
+    return _in_words([*spikes(seen, robot.joints), *polled(*readings), *held(rows)])
 
 
 def unsound(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[Finding]:
@@ -107,6 +110,7 @@ def check_torque(robot: Robot, meta: Meta, data: NormalEquations, lag: Delay, so
     seen = (*torque_scales(robot, data), turns)
     _refuse(against_model(robot, meta, RIGHT_TORN, *seen))  # a wrong unit is no lag
     _refuse(torque_beyond(lag.beyond))
+    _refuse(pushed(rubbing(robot, data), robot.joints))
     # other laws of friction, perhaps through a filter: `stopset inspect` need not have found the same
     strange = against_model(robot, meta, RIGHT, *seen)
     return tuple(f"seen beside the fitted friction ({f.severity}): {f.says}" for f in strange if f.severity != "note")

@@ -15,7 +15,7 @@ from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.inspect import findings_torque
 from stopset.offline.inspect.contradiction import contradictions
 from stopset.offline.inspect.finding import Finding
-from stopset.offline.inspect.findings_clock import clock, polled
+from stopset.offline.inspect.findings_clock import clock, held, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, unrepeated, velocity
 from stopset.offline.inspect.inertia import Momentum
 from stopset.offline.inspect.jolts import Jolt, found, jolts
@@ -29,7 +29,7 @@ from stopset.offline.nominal.delay import estimate_delay
 from stopset.offline.nominal.nominal import solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
-from stopset.offline.nominal.scale import torque_scales
+from stopset.offline.nominal.scale import rubbing, torque_scales
 from stopset.recording import Recording, SuiteKey, read_meta, stream_recordings
 from stopset.recording.types import Meta
 from stopset.robot import Robot
@@ -189,7 +189,7 @@ def _findings(
     out = [*stamps, *speeds, *readings(t, joints), *saturation(t, joints, meta)]
     if t.trials == 0:
         return out
-    out += [*unrepeated(campaign.suites), *findings_torque.spikes(t.spikes, joints), *polled(*t.polled)]
+    out += [*unrepeated(campaign.suites), *findings_torque.spikes(t.spikes, joints), *polled(*t.polled), *held(t.held)]
     if not any(f.severity == "error" for f in out):  # stamps and readings that are wrong tear speeds apart
         out += [*found(campaign.jolts, joints), *findings_torque.torque_peaks(t.peaks, joints)]
     sign = findings_torque.torque_sign(t, joints, compensated=meta.effort == "compensated_torque")
@@ -232,6 +232,7 @@ def _torque(
         delay.beyond and not compensated
     ):  # torque that belongs to another moment seems turned, and what else is said of it is none of it
         return findings_torque.torque_beyond(delay.beyond)
+    out += [] if compensated else findings_torque.pushed(rubbing(robot, data), robot.joints)
     if out:
         return out
     least = findings_torque.DELAY_COMPENSATED if compensated else findings_torque.DELAY

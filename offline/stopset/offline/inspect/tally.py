@@ -57,6 +57,7 @@ class SignalSums:
     twice: int = 0  # rows that the reader left out, as written twice
     unread: int = 0  # and as lacking numbers
     polled: tuple[int, int] = (0, 0)  # and as written again; with those that a logger passed over
+    held: float = 1.0  # rows in which a reading stood, at most, of which the reader kept one
     spikes: list[tuple[str, Spike]] = field(default_factory=list)  # trial and torque, for which the reader left a sample out
     peaks: list[tuple[str, Spike]] = field(default_factory=list)  # and those of one sample that stay
     rounded: float = 0.0  # [s] what stamps were printed to, where that is a good part of the period
@@ -103,6 +104,7 @@ class SignalSums:
         self.seconds += float(r.t[-1] - r.t[0])
         self.twice, self.unread = self.twice + r.twice, self.unread + r.unread
         self.polled = (self.polled[0] + r.again, self.polled[1] + r.skipped)
+        self.held = max(self.held, r.held)
         self.spikes += [(r.label, x) for x in r.spikes]
         self.peaks += [(r.label, x) for x in peaks(r)]
         for name, x in (("range_q", r.q), ("range_dq", r.dq), ("range_tau", r.tau), ("range_temp", r.temp)):

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from stopset.effects.base import Part
 from stopset.offline.nominal.delay import joint_reduced, lag_weights
 from stopset.offline.nominal.normal_equations import TOGETHER, NormalEquations
 from stopset.robot import Robot
 from stopset.types import Array
 
+LAWS: tuple[Part, Part] = ("dry friction", "damping")
+RIDGE = 1e-6  # of columns scaled to one, which hold of the rigid body what one joint cannot tell apart
 SHARE = 0.3  # least part of the torque, root mean square, that the rigid body must make up
 
 
@@ -45,3 +50,42 @@ def torque_scales(robot: Robot, data: NormalEquations) -> tuple[Array, Array]:
         variance = max(float(v @ S @ v), 0.0) / rows * TOGETHER
         scale[j], std[j] = x[0], np.sqrt(variance * np.linalg.inv(A)[0, 0]) * d[0]
     return scale, std
+
+
+@dataclass(frozen=True, slots=True)
+class Rubbing:
+    """(n,) each of a joint: ``dry`` friction [N m], what falls or rises with speed at the usual one, ``wet`` [N m], the error ``std`` of both
+    together [N m], ``slope`` [N m s/rad] and all of its torque's ``size`` [N m]; ``nan`` where nothing tells."""
+
+    dry: Array
+    wet: Array
+    std: Array
+    slope: Array
+    size: Array
+
+
+def rubbing(robot: Robot, data: NormalEquations) -> Rubbing:
+    """Dry and viscous friction of either sign, whatever the links weigh: all of the rigid body is fitted beside it."""
+    n, lags = robot.n, lag_weights(0.0)
+    dry, wet, slope, size = (np.full(n, np.nan) for _ in range(4))
+    std = np.full(n, np.inf)
+    for j in range(n):
+        rows = float(data.rows_moving[:, j].sum())
+        head = 10 * n + 1
+        parts = [c.effect.part for c in data.layout.columns[j]]
+        if rows < 50 or not set(LAWS) <= set(parts):
+            continue
+        G = joint_reduced(data.moving[:, j].sum(axis=0), lags)
+        at = [*range(head), *(head + parts.index(x) for x in LAWS), len(G) - 1]
+        S = G[np.ix_(at, at)]
+        d = 1 / np.sqrt(np.maximum(np.diag(S)[:-1], 1e-12 * np.trace(S)))
+        inverse = np.linalg.inv(d[:, None] * S[:-1, :-1] * d + RIDGE * np.eye(len(S) - 1))
+        x = d * (inverse @ (d * S[:-1, -1]))
+        v = np.append(x, -1.0)
+        variance = max(float(v @ S @ v), 0.0) / rows * TOGETHER
+        speed = float(np.sqrt(S[-2, -2] / rows))
+        usual = np.array([1.0, speed]) * d[-2:]
+        dry[j], wet[j], slope[j] = x[-2], speed * x[-1], x[-1]
+        std[j] = float(np.sqrt(variance * usual @ inverse[-2:, -2:] @ usual))
+        size[j] = float(np.sqrt(S[-1, -1] / rows))
+    return Rubbing(dry, wet, std, slope, size)
