@@ -22,7 +22,7 @@ def examined(q: Inquiry, progress: Progress = silent, names: Sequence[str] | Non
     return x if q.model is None else replace(x, ranked=_held(q.model, q, x.ranked))
 
 
-def told_by_state(r: Ranked) -> bool:
+def given_by_state(r: Ranked) -> bool:
     """Whether the arm's measured state tells a named law's torque, so that a model can be given it."""
     law = get(r.effect)
     return law.compensated() and not law.states and "warm" not in law.needs
@@ -38,9 +38,11 @@ def _held(model: Model, q: Inquiry, ranked: tuple[Ranked, ...]) -> tuple[Ranked,
     moving = [r for r in q.recordings if moves(r)]
     while True:
         named = [r for r in ranked if not r.objection and r.label not in known]
-        added = [r for r in named if told_by_state(r)]
+        added = [r for r in named if given_by_state(r)]
         others = [r for r in named if r not in added]
-        asked = [r for r in added if len(r.joints) == 1 and not any(not o.joints or set(o.joints) & set(r.joints) for o in others)]
+        asked = [
+            r for r in added if len(r.joints) == 1 and not any(not o.joints or set(o.joints) & set(r.joints) for o in others)
+        ]
         if not asked:
             return ranked
         rises = {r.label: _rise(model, moving, added, r) for r in asked}

@@ -154,7 +154,8 @@ def _onset(left: Array, block: np.ndarray, count: int, scale: Array, c: LevelCha
 
 
 def _simplest(tried: Sequence[tuple[LevelChange, _Judged]]) -> tuple[LevelChange, _Judged]:
-    """The change of largest gain, but a constant torque where it says as much; of a joint's friction the one by which both its numbers need differ least from the model's.
+    """The change of largest gain, but a constant torque where it says as much; of a joint's friction the one by which both its numbers
+    need differ least from the model's.
 
     A motion of few speeds tells how much friction there is, but hardly how it is shared between its dry and its viscous part.
     """
@@ -232,7 +233,9 @@ def left_beside_friction(model: Model, recordings: Sequence[Recording]) -> Array
     less; nan where it never moves."""
     x = _taken(model, recordings)
     out = np.full(model.n, np.nan)
-    for j in range(model.n) if x is not None else ():
+    if x is None:
+        return out
+    for j in range(model.n):
         use = np.isfinite(x.left[:, j])
         rubs, y = np.column_stack([np.sign(x.dq[use, j]), x.dq[use, j]]), x.left[use, j]
         if len(y) > rubs.shape[1]:

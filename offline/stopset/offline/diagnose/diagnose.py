@@ -10,7 +10,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.against_model import examined, told_by_state
+from stopset.offline.diagnose.against_model import examined, given_by_state
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.candidate import Scored
@@ -162,7 +162,7 @@ def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:
     A cable pack at a joint that gravity loads looks like a torque scale of all joints, as hardly another one carries as much.
     """
     known = {f.label for f in model.effects}
-    telling = tuple(r.fitted for r in found.ranked if r.label not in known and told_by_state(r))
+    telling = tuple(r.fitted for r in found.ranked if r.label not in known and given_by_state(r))
     return replace(model, effects=(*model.effects, *telling)) if telling else model
 
 
