@@ -419,3 +419,13 @@ def test_friction_that_came_to_grow_with_the_load_is_no_level_that_changed(pair:
         assert [c.after for c in told] == pytest.approx([load, load], rel=0.1)
     found = diagnose_model(pair.model, later)[0]
     assert [r.label for r in found.ranked] == [f"load_coulomb:{joint}"] and not found.changed  # told once
+
+
+def test_an_offset_at_one_joint_leaves_those_of_the_others_to_be_told(pair: Pair) -> None:
+    """Offsets read alike at all joints: the first one told, or asked and found to be none, was the last one asked."""
+    later = recorded(replace(pair.scenario, cell=replace(pair.scenario.cell, seed=LATER)))
+    off = np.array([0.0, 4.0, 3.0])
+    moved = [replace(r, tau=r.tau + off) for r in later.trials]
+    told = {c.joint: c.after for c in changes(pair.model, moved) if c.effect == "asymmetric_coulomb"}
+    assert set(told) == set(pair.model.joints[1:])
+    assert [told[j] for j in pair.model.joints[1:]] == pytest.approx(off[1:], rel=0.1)

@@ -17,7 +17,7 @@ from stopset.artifact.inputs import InputMap, input_map
 from stopset.effects.base import Fitted
 from stopset.offline.abstraction.metrics import AVERAGING
 from stopset.offline.abstraction.nominal_part import shared_inertia
-from stopset.offline.nominal.preprocess import Preprocessing, motions
+from stopset.offline.nominal.preprocess import Preprocessing, derivative, motions
 from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.robot.rigid import gravity_torques, torques
@@ -62,12 +62,15 @@ def left_over(
 
 
 class Rows(NamedTuple):
-    """Filtered rows of a motion: ``q, dq, ddq``, and the torque ``left`` without explanation, nan where a joint stands; (rows, n) each."""
+    """Filtered rows of a motion: ``q, dq, ddq``, the torque ``left`` without explanation, nan where a joint stands, and the ``rate`` [N m/s]
+    of the recorded torque; (rows, n) each.
+    """
 
     q: Array
     dq: Array
     ddq: Array
     left: Array
+    rate: Array
 
 
 def rows_left(model: Model | TorqueModel, r: Recording) -> Iterator[Rows]:
@@ -77,7 +80,8 @@ def rows_left(model: Model | TorqueModel, r: Recording) -> Iterator[Rows]:
         q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
         u = model.input(q, dq, tau, None if m.temp is None else m.temp[k], 0.0, m.t[k])
         part = Recording("closed_loop", 0, 0, 0, m.t[k], q, dq, tau)
-        yield Rows(q, dq, ddq, np.where(m.moving[k], left_over(model, part, u, float("nan"), ddq, window=1), np.nan))
+        left = left_over(model, part, u, float("nan"), ddq, window=1)
+        yield Rows(q, dq, ddq, np.where(m.moving[k], left, np.nan), derivative(m.tau, m.period)[k])
 
 
 def rms_left(model: Model | TorqueModel, recordings: Sequence[Recording]) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.against_model import examined, given_by_state
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.candidate import Scored
@@ -139,7 +140,7 @@ def diagnose_model(
     q = question(model, recordings)
     if not any(map(moves, q.asked)):
         return replace(standing(q.robot, q.recordings, q.fitted), notes=(*without, *q.notes)), q.against
-    x = examine(q.robot, q.asked, q.fitted, q.before, progress=progress)
+    x = examined(q, progress)
     found = answered(x, names)
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 
@@ -162,8 +163,7 @@ def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:
     A cable pack at a joint that gravity loads looks like a torque scale of all joints, as hardly another one carries as much.
     """
     known = {f.label for f in model.effects}
-    named = [(r.fitted, get(r.effect)) for r in found.ranked if r.label not in known]
-    telling = tuple(f for f, law in named if law.compensated() and not law.states and "warm" not in law.needs)
+    telling = tuple(r.fitted for r in found.ranked if r.label not in known and given_by_state(r))
     return replace(model, effects=(*model.effects, *telling)) if telling else model
 
 
@@ -175,7 +175,7 @@ def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -
     """
     none = {r.label for r in x.ranked if r.objection}  # what is no finding of these recordings is no change either
     same = {j for j, held in zip(x.engine.data.joints, x.engine.as_before, strict=True) if held}
-    changed = [c for c in changed if c.label not in none and c.at not in same]
+    changed = [c for c in changed if c.label not in none and c.at not in same and not _of_any_law(x, c)]
     sound = [c for c in changed if _accounts(x, c)]
     refuted = [c for c in changed if c not in sound]
     found = replace(found, unexplained=tuple(_resembling(u, refuted) for u in found.unexplained))
@@ -216,6 +216,14 @@ def _as_ranked(c: Change) -> Ranked:
 def _beside(left: Unexplained, changed: Sequence[Change]) -> Unexplained:
     """What is left of a joint beside what changed there: the error after that."""
     return replace(left, size=min([c.error_after for c in changed if c.at == left.joint], default=left.size))
+
+
+def _of_any_law(x: Examination, c: Change) -> bool:
+    """Whether a constant torque is told of a joint that moved so little that any law of the position is all but constant there."""
+    if c.joint is None or get(c.effect).part != "constant torque":
+        return False
+    j = x.engine.data.joints.index(c.joint)
+    return float(np.ptp(x.engine.rows[j].plain(x.engine.data.q[:, j]))) < limit.TRAVEL
 
 
 def _accounts(x: Examination, c: Change) -> bool:

@@ -7,11 +7,12 @@ search does not name is looked for alone; what is then found is what these recor
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from stopset.effects.base import Fitted
+from stopset.offline.diagnose.against_model import examined
 from stopset.offline.diagnose.answer import Ranked
-from stopset.offline.diagnose.examination import Examination, examine
+from stopset.offline.diagnose.examination import Examination
 from stopset.offline.diagnose.question import Inquiry
 from stopset.offline.diagnose.search.held_out import judged_on
 from stopset.offline.diagnose.standing import moves
@@ -46,7 +47,7 @@ def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> 
     """Estimates of the effects ``names`` (``effect`` or ``effect:joint``), in their order; one that left no trace is missing."""
     if not any(map(moves, q.asked)):
         return Estimates((), None, "nothing: no joint moves in these recordings")
-    x = examine(q.robot, q.asked, q.fitted, q.before, progress=progress)
+    x = examined(q, progress)
     out = _of(x, [(name, _claims(x, name)) for name in names])
     out += _loose(x, names, [e.found.label for e in out])
     named = {e.name for e in out}
@@ -54,7 +55,7 @@ def estimates(q: Inquiry, names: Sequence[str], progress: Progress = silent) -> 
         if name in named:
             continue
         beside = (*q.fitted, *(e.fitted for e in out))
-        alone = examine(q.robot, q.asked, beside, names=[name.partition(":")[0]], before=q.before, progress=progress)
+        alone = examined(replace(q, fitted=beside), progress, [name.partition(":")[0]])
         out += _of(alone, [(name, _claims(alone, name))])
     return Estimates(tuple(sorted(out, key=lambda e: list(names).index(e.name))), x.found.before.whole, judged_on(x.engine))
 

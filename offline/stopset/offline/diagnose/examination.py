@@ -23,6 +23,7 @@ from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
 from stopset.offline.diagnose.plays import Plays, plays
 from stopset.offline.diagnose.remainder import Left, left_of, shakes
+from stopset.offline.diagnose.rows.prepare import ROW_STEP
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
@@ -156,7 +157,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
         why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
         why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
-        why = why or _of_any_position(engine, claim) or _as_before(found, claim)
+        why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
         objections.append(why or _of_the_load(found, left, misfit, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
@@ -288,6 +289,18 @@ def _of_any_position(engine: Engine, claim: Claim) -> str:
         f"its joint moved by {travel:.2g} rad only: a spring, a cable pack, a gas spring and friction that differs between the directions look "
         "alike there"
     )
+
+
+def _between_rows(claim: Claim) -> str:
+    """Why friction that builds up over a way is no finding where every joint that moves at all has passed that way from one row to the next.
+
+    Rows then show none of its curve, and what a filter of the torque makes of a reversal looks like it.
+    """
+    c, least = claim.scored.candidate, limit.CREEP * ROW_STEP
+    ways = [c.shapes[p.symbol] for p in c.effect.shapes if p.unit == "rad" and c.effect.states]
+    if not ways or min(ways) >= least:
+        return ""
+    return f"its way of {min(ways):.2g} rad is passed from one row to the next at any speed that is asked ({least:.2g} rad)"
 
 
 def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:

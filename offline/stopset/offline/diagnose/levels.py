@@ -56,6 +56,11 @@ class LevelChange:
     friction: bool = False
     amount: float = 0.0
 
+    @property
+    def constant(self) -> bool:
+        """Whether it is a constant torque of one joint."""
+        return self.joint is not None and all(get(x.effect).part == "constant torque" for x in self.levels)
+
     def only(self, here: NDArray[np.bool_]) -> LevelChange:
         """The same where ``here``, nothing elsewhere."""
         return replace(self, columns=np.where(here[:, None, None], self.columns, 0.0))
@@ -64,6 +69,10 @@ class LevelChange:
         """Whether coefficients ``theta`` (k,) make as much torque as a change must."""
         torque = self.columns @ theta
         return float(np.linalg.norm(torque)) > self.amount * float(np.sqrt(np.count_nonzero(self.columns.any(axis=2))))
+
+    def same_as(self, other: LevelChange) -> bool:
+        """Whether both are a change of the same numbers at the same joint; an offset of one joint reads like that of any other."""
+        return self.joint == other.joint and self.levels == other.levels
 
     def rows(self, here: NDArray[np.bool_]) -> LevelChange:
         """The same of these rows alone."""
@@ -90,10 +99,10 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array, moving: NDArray
         (dry, dry_error), (wet, wet_error) = _level(model, dry_law, joint), _level(model, damping, joint)
         error = _level_error(model, j, q[moving[:, j]], dq[moving[:, j]], ddq[moving[:, j]])
         out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error), error)
-        least = np.array([limit.DAILY * dry])
+        usual, carried = dry + wet * _usual(speed[:, j]), float(np.sqrt(np.mean(rigid[:, j] ** 2)))
+        least = np.array([max(limit.DAILY * dry, limit.LEAST_GAIN * carried)])  # links may be off by as much as a scale
         out.append(LevelChange(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
-        usual = dry + wet * _usual(speed[:, j])
-        if float(np.sqrt(np.mean(rigid[:, j] ** 2))) > limit.LOADED_GAIN * usual:
+        if carried > limit.LOADED_GAIN * usual:
             least = np.array([limit.LEAST_GAIN])
             out.append(LevelChange(j, at(rigid[:, j], j=j), rubs[j], (_said_of(scale),), np.zeros(1), least))
     tip = np.ascontiguousarray(regressors(model.robot.chain, q, dq, ddq)[:, :, -10:][:, :, :4])

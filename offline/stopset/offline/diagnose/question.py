@@ -43,7 +43,7 @@ class Inquiry:
 
     ``held``: suites that are not asked, because a model's sets are judged on them; ``fitted``: effects that stand beside every
     hypothesis; ``against``, ``notes``: for people; ``taken_out``: what was taken off before anything was asked; ``chosen``: laws that
-    identification chose in these recordings.
+    identification chose in these recordings; ``model``: that of other recordings, which these are held against.
     """
 
     robot: Robot
@@ -55,6 +55,7 @@ class Inquiry:
     notes: tuple[str, ...] = ()
     taken_out: tuple[Mapping[str, Any], ...] = ()
     chosen: tuple[str, ...] = ()
+    model: Model | None = None
 
     @property
     def before(self) -> Beforehand:
@@ -94,6 +95,7 @@ def question(model: Model, recordings: Recordings) -> Inquiry:
     return Inquiry(
         base.robot, prepared, held, settled(model) if own else model.effects, known,
         base.against, (*base.notes, *late, *filtered), taken_out, tuple(model.provenance.get("chosen", ())) if own else (),
+        None if own else model,
     )  # fmt: skip
 
 

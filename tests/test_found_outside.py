@@ -1,0 +1,25 @@
+"""Recordings of somebody else's simulator: other controllers, filters, motions and arms than our own blocks have."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import found_outside
+
+
+@pytest.mark.parametrize(
+    ("seed", "healthy"),
+    [
+        (117001, False),  # torque through a filter of 20 Hz, 6 ms late at 100 Hz: gravity that came late was 11 % more friction of a shoulder
+        (117014, False),  # a model of two circles, at other poses: a spring beside a torque scale of 9 % that takes it away again
+        (119001, True),  # such a filter rounds reversals off: hysteresis over 0.2 mrad, which pass from one row to the next
+    ],
+)
+def test_of_a_healthy_arm_nothing_is_named(seed: int, healthy: bool) -> None:
+    answer: dict[str, Any] = found_outside.asked(seed, healthy)
+    assert not answer["named"] and not answer["changed"], answer
