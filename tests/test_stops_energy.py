@@ -74,6 +74,39 @@ def test_energy_without_disturbance_is_escaped() -> None:
     assert escaped > 0
 
 
+@pytest.mark.parametrize(("make", "still"), [(ur10e_like, 0.7), (lambda: random_arm(4, 0), 0.7), (lambda: random_arm(7, 1), 0.5)])
+def test_a_way_costs_the_energy_that_it_has(make, still) -> None:  # type: ignore[no-untyped-def]
+    """Ways weighed with a share of the kinetic energy that is there are escaped; with all of it none is (Lemma 13)."""
+    model = make()
+    rated, n = model.domain.payload[1], model.n
+    s = StopBounds.of(model, (0.98 * rated, rated)).setting
+    assert s is not None
+    escaped = {1.0: 0, still: 0}
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
+        start = Start(q, dq, s.noise.radius[:n], s.noise.radius[n:])
+        for share in escaped:
+            tube = march_box(s, s.plant, start, ALL_PARTS._replace(still=share), energetic=True)
+            assert tube.end == OK
+            escaped[share] += sample_stops(s.plant, q, dq, start.q_radius, start.dq_radius, s.payload_com, tube, 60, 2).escaped
+    assert escaped[1.0] == 0 and escaped[still] > 0
+
+
+def test_ways_are_weighed_before_all_brakes_hold() -> None:
+    """A light arm with a heavy load: while brakes rise a joint's way and what is left of the energy are not both at their largest. The same
+    bound on the core before Lemma 13 was 9.6 times the worst sampled stop."""
+    model = random_arm(7, 1)
+    s, top = StopBounds.of(model, (0.98 * model.domain.payload[1], model.domain.payload[1])).setting, model.domain.dq.hi
+    assert s is not None
+    rng, r, v = np.random.default_rng(77), s.noise.radius[:7], s.noise.radius[7:]
+    q, dq = rng.uniform(-np.pi, np.pi, 7), rng.uniform(-top, top)
+    tube = march_box(s, s.plant, Start(q, dq, r, v), energetic=True)
+    x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, 250, 0, 500)
+    assert x.escaped == 0
+    assert np.median(tightness(tube, 1.0, x, dq, top).angle) < 8.0
+
+
 def test_what_travel_is_left_is_not_known_before_every_brake_holds() -> None:
     """A joint without dry friction coasts until its brake engages: no travel left is claimed before, and a finite one later."""
     s = StopBounds.of(ur5_like(), (4.75, 5.0)).setting

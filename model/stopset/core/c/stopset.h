@@ -725,7 +725,7 @@ typedef struct {
 
 /* How much of each part of the bound is taken: all of it (1), but for mutants. */
 typedef struct {
-    double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared, held;
+    double coupling, christoffel, gravity_slope, whole_step, bend, pull, shared, held, still;
 } StopsetParts;
 
 /* What bounds a power-off stop: (n,) arrays unless said. */

@@ -16,6 +16,7 @@ class Parts(NamedTuple):
     pull: float = 1.0  # what the others pull at a joint that rests
     shared: float = 1.0  # what one angle, one speed and the payload do to all accelerations at once
     held: float = 1.0  # of the momenta with which what moves holds the kinetic energy
+    still: float = 1.0  # of the kinetic energy that a way with it still has
 
 
 ALL_PARTS = Parts()

@@ -284,6 +284,65 @@ double stops_by_power(int n, double y, const Span w[2], const Span *v, const Spa
     return sqrt(most(most(z + 2.0 * h * rate, low + 2.0 * h * most(rate, 0.0)), 0.0)) * stopset_energy_rounding;
 }
 
+/* Torques that a way is weighed with, over what brake and dry friction surely have in the end. */
+static const double weighed_with[TORQUES] = {0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8, 0.9, 1.0, 1.3};
+
+void stops_start_travels(const StopsetPlant *p, double y, Travels *out) {
+    for (int c = 0; c < TORQUES; c++)
+        for (int i = 0; i < p->arm.n; i++) {
+            const double torque = weighed_with[c] * (p->coulomb_lo[i] + p->brake_lo[i]);
+            out->torque[c][i] = torque;
+            out->hi[c][i] = out->lo[c][i] = torque > 0.0 ? 0.5 * y * y / torque * stopset_energy_rounding : STOPS_INF;
+        }
+}
+
+/* Largest power [W] of a joint with a speed in v, if beside the excess w of its direction a torque pushes it. */
+static double power_with(double w_lo, double w_hi, double v_lo, double v_hi, double push) {
+    const double low = v_lo * (v_lo > 0.0 ? push + w_hi : push - w_lo), high = v_hi * (v_hi > 0.0 ? push + w_hi : push - w_lo);
+    const double ends = most(low, high);
+    return v_lo <= 0.0 && 0.0 <= v_hi ? most(ends, 0.0) : ends;
+}
+
+/* The same after a step of h seconds with speeds in v, the excess of power between a line from w[0] to w[1], and at all times of it: Lemma 13 of
+ * docs/stops.md. */
+void stops_travels_on(int n, const Span w[2], const Span *v, double h, Travels *travels) {
+    double own[2][SN], all[2] = {0.0, 0.0}, scale[2] = {0.0, 0.0};
+    for (int k = 0; k < 2; k++)
+        for (int i = 0; i < n; i++) {
+            own[k][i] = power_with(w[k].lo[i], w[k].hi[i], v->lo[i], v->hi[i], 0.0);
+            all[k] += own[k][i];
+            scale[k] += size_of(own[k][i]);
+        }
+    for (int c = 0; c < TORQUES; c++)
+        for (int i = 0; i < n; i++) {
+            const double torque = travels->torque[c][i];
+            double on = 0.0, back = 0.0;
+            if (!(torque > 0.0)) continue;
+            for (int k = 0; k < 2; k++) {
+                const double others = all[k] - own[k][i] + 1e-12 * scale[k]; /* for rounding */
+                on += 0.5 * most(others + power_with(w[k].lo[i], w[k].hi[i], v->lo[i], v->hi[i], torque), 0.0);
+                back += 0.5 * most(others + power_with(w[k].lo[i], w[k].hi[i], v->lo[i], v->hi[i], -torque), 0.0);
+            }
+            travels->hi[c][i] = (travels->hi[c][i] + h * on / torque) * stopset_energy_rounding;
+            travels->lo[c][i] = (travels->lo[c][i] + h * back / torque) * stopset_energy_rounding;
+        }
+}
+
+/* Displacements at a knot cut to these, and these to what displacements and energy are there. */
+void stops_cut_travels(int n, double y, Travels *travels, double *d_lo, double *d_hi) {
+    for (int c = 0; c < TORQUES; c++)
+        for (int i = 0; i < n; i++) {
+            d_hi[i] = least(d_hi[i], travels->hi[c][i]);
+            d_lo[i] = most(d_lo[i], -travels->lo[c][i]);
+        }
+    for (int c = 0; c < TORQUES; c++)
+        for (int i = 0; i < n; i++) {
+            const double torque = travels->torque[c][i], left = torque > 0.0 ? 0.5 * y * y / torque * stopset_energy_rounding : STOPS_INF;
+            travels->hi[c][i] = least(travels->hi[c][i], d_hi[i] + left);
+            travels->lo[c][i] = least(travels->lo[c][i], left - d_lo[i]);
+        }
+}
+
 /* Speed bands cut to the caps; a joint that has rested may rest. */
 void stops_cap_bands(int n, Bands *b, const Span *cap) {
     for (int i = 0; i < n; i++) {

@@ -67,6 +67,12 @@ typedef struct {
     Span g;
 } Energy;
 
+/* For some torques of each joint, no less than its way since the cut and y^2 / (2 torque) together [rad]: forward (hi), backward (lo). */
+enum { TORQUES = 16 };
+typedef struct {
+    double torque[TORQUES][SN], hi[TORQUES][SN], lo[TORQUES][SN];
+} Travels;
+
 /* A step of h seconds: torques without dry friction, dry friction, and which signs are possible on it. Dry friction is no less than B_lo and no more than B_hi
  * throughout, in the mean no less than `less` and no more than `more`, and no less than the line from B_lo to `last`. */
 typedef struct {
@@ -138,6 +144,9 @@ void stops_power_excess(int n, const Span *g, const StopsetRange *u, const doubl
 int stops_step_energy(Near *near, Energy *e, const Span *x, const Step *s);
 int stops_travel_left(Near *near, const Energy *e, const Span *x, const double *B_lo, Span *travel);
 double stops_by_power(int n, double y, const Span w[2], const Span *v, const Span *p, double h);
+void stops_start_travels(const StopsetPlant *p, double y, Travels *out);
+void stops_travels_on(int n, const Span w[2], const Span *v, double h, Travels *travels);
+void stops_cut_travels(int n, double y, Travels *travels, double *d_lo, double *d_hi);
 void stops_cap_bands(int n, Bands *b, const Span *cap);
 void stops_cap_lines(int n, const Span *cap, double *const line[4], int alone); /* line: v_lo, v_hi, e_lo, e_hi */
 void stops_start_pulls(const Local *at, const Span *v, Span *p);

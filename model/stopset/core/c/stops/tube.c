@@ -15,7 +15,7 @@
 enum { OK, ENDLESS, UNBOUNDED };
 enum { PASSES = STOPSET_TUBE_PASSES, FEW_PASSES = 20 }; /* where there are caps to fall back on, what has not closed by then hardly ever does */
 const double stopset_tube_recentre = 0.01;
-const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0, .held = 1.0};
+const StopsetParts stops_whole = {.coupling = 1.0, .christoffel = 1.0, .gravity_slope = 1.0, .whole_step = 1.0, .bend = 1.0, .pull = 1.0, .shared = 1.0, .held = 1.0, .still = 1.0};
 
 enum { most_idle = 12 }; /* steps on which all brakes are closed and the energy does not fall */
 static const double worth = 0.9; /* share of the energy's range of a speed above which the momenta are not worth their cost */
@@ -34,6 +34,7 @@ typedef struct {
     Step s;
     Bands b, end;
     Energy energy;
+    Travels travels;
     Near near; /* from here on nothing is read that was not written, and much is room for more joints */
     Momentum momentum;
 } March;
@@ -404,7 +405,7 @@ static void tighten(March *m, int verified, double *v_lo, double *v_hi) {
     stops_total(m->n, &m->end, v_lo, v_hi);
 }
 
-/* Momenta, energy and bands at the knot after step k. */
+/* Momenta, energy, bands and displacements at the knot after step k. */
 static void settle(March *m, int64_t k, double y, int verified) {
     const int n = m->n;
     double before[SN], *v_lo = m->tube->v_lo + (k + 1) * n, *v_hi = m->tube->v_hi + (k + 1) * n;
@@ -420,6 +421,7 @@ static void settle(March *m, int64_t k, double y, int verified) {
         stops_power_excess(n, &m->energy.g, &u, m->s.last, excess + 1);
         follow_momenta(m, most(y, m->energy.y), &m->v, &momenta);
         m->energy.y = least(m->energy.y, stops_by_power(n, y, excess, &m->v, &momenta, m->s.h));
+        stops_travels_on(n, excess, &m->v, m->s.h, &m->travels);
         for (int i = 0; i < n; i++) {
             end.lo[i] = -m->energy.end[i];
             end.hi[i] = m->energy.end[i];
@@ -432,6 +434,7 @@ static void settle(March *m, int64_t k, double y, int verified) {
         pull(m, v_lo, v_hi);
     else if (m->energetic)
         m->energy.y = least(m->energy.y, stops_largest(&m->near.at, v_lo, v_hi));
+    if (m->energetic) stops_cut_travels(n, m->near.parts->still * m->energy.y, &m->travels, m->tube->d_lo + (k + 1) * n, m->tube->d_hi + (k + 1) * n);
     const Bands swap = m->b;
     m->b = m->end;
     m->end = swap;
@@ -478,6 +481,7 @@ static void begin(March *m, const StopsetBox *box, const double *middle) {
     stops_start_momentum(&m->near, &x, &v, &m->b, &m->momentum);
     stops_start_pulls(&m->momentum.start, &v, &m->momenta);
     m->energy.y = stops_largest(&m->momentum.start, v.lo, v.hi);
+    stops_start_travels(m->near.plant, m->near.parts->still * m->energy.y, &m->travels);
 }
 
 /* The longest step from `now`: none passes the moment at which the first brake may close, and until all have closed none is longer than `brief`. */
