@@ -29,7 +29,7 @@ from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identified
 from stopset.offline.nominal.low_pass import recorded_low_pass
-from stopset.offline.revise.judge import kept_elsewhere
+from stopset.offline.revise.judge import retained_elsewhere
 from stopset.recording import Recording, Recordings, read_recordings
 
 
@@ -40,7 +40,7 @@ def fitted_again(model: Model, fit: Recordings, known: Sequence[Fitted]) -> Mode
     learnt = replace(seen, sample=tuple(r for r in seen.sample if r.suite_key not in seen.held_out))
     learnt = replace(learnt, low_pass=recorded_low_pass(robot, learnt.sample))
     chosen = tuple(model.provenance.get("chosen", ()))
-    settings = replace(kept_elsewhere(settings_of(model), chosen, known, robot), effects=tuple(f.label for f in known))
+    settings = replace(retained_elsewhere(settings_of(model), chosen, known, robot), effects=tuple(f.label for f in known))
     part = fit_nominal(Run(robot, fit.meta, lambda: iter(trials), learnt, settings), tuple(known))
     return replace(model, robot=part.robot, rotor=part.rotor, effects=part.effects, abstraction=part.abstraction)
 

@@ -127,7 +127,7 @@ def _motor(run: Run, known: tuple[Fitted, ...]) -> NominalPart:
     if settings.friction == "evidence":
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
         everywhere = [e for e in asked if ":" not in e]
-        choice = Choice(everywhere, barred, settings.friction_among, settings.friction_kept)
+        choice = Choice(everywhere, barred, settings.friction_among, settings.friction_retained)
         chosen = choose(cad, of(arm), len(set(found.motion.values())), choice, prepared)
     laws = tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen))))
     nominal = _at_load(cad, _weighed(cad, arm, of, known, laws, prepared), of, laws, prepared)

@@ -177,7 +177,7 @@ def by_evidence(
     retained = retained_effects(judge.model)
 
     def around(added: Sequence[Estimate]) -> Settings:
-        return kept_elsewhere(settings, chosen, [e.fitted for e in added], judge.robot) if same else settings
+        return retained_elsewhere(settings, chosen, [e.fitted for e in added], judge.robot) if same else settings
 
     rubs = any(levelled(n, judge.robot) for n in names)
     plain = dict(first) if first and not (rubs and answer.found) else judge.simulated(around([]), retained)
@@ -206,7 +206,7 @@ def by_evidence(
     return Judgement(tuple(judged), start, more, taken, answer.words)
 
 
-def kept_elsewhere(settings: Settings, chosen: Sequence[str], added: Sequence[Fitted], robot: Robot) -> Settings:
+def retained_elsewhere(settings: Settings, chosen: Sequence[str], added: Sequence[Fitted], robot: Robot) -> Settings:
     """``settings`` in which the laws that identification has ``chosen`` in the same recordings are those of all joints but those of what is
     ``added``, where any may be chosen.
 
@@ -217,9 +217,9 @@ def kept_elsewhere(settings: Settings, chosen: Sequence[str], added: Sequence[Fi
     at = {j for f in added for j in f.joints}
     if settings.friction != "evidence" or any(not f.joints for f in added):
         return settings
-    kept = tuple(x for x in chosen if x.partition(":")[2] not in at)
+    stay = tuple(x for x in chosen if x.partition(":")[2] not in at)
     there = tuple(f"{x}:{j}" for x in usual() for j in robot.joints if j in at)
-    return replace(settings, friction_among=(*kept, *there), friction_kept=kept)
+    return replace(settings, friction_among=(*stay, *there), friction_retained=stay)
 
 
 def levelled(name: str, robot: Robot) -> bool:

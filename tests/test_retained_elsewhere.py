@@ -15,7 +15,7 @@ from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import TorqueModel, rms_left
 from stopset.offline.description import load_robot
-from stopset.offline.revise.judge import kept_elsewhere
+from stopset.offline.revise.judge import retained_elsewhere
 from stopset.recording import Recording, read_recordings
 
 PAN, ELBOW = "shoulder_pan_joint", "elbow_joint"
@@ -44,7 +44,7 @@ def test_a_number_that_is_given_changes_no_law_of_another_joint(shared_data) -> 
     plain = fitted(Settings())
     chosen = [g.name for g in plain.chosen]
     (own,) = (f for f in plain.effects if f.label == f"cubic_viscous:{PAN}")
-    settings = kept_elsewhere(Settings(effects=(own.label,)), chosen, [own], robot)
+    settings = retained_elsewhere(Settings(effects=(own.label,)), chosen, [own], robot)
     given = fitted(settings, (own,))
     elsewhere = {x for x in chosen if not x.endswith(PAN)}
     assert f"load_coulomb:{ELBOW}" in elsewhere == {g.name for g in given.chosen if not g.name.endswith(PAN)}
@@ -59,4 +59,4 @@ def test_of_what_acts_everywhere_any_law_is_in_question() -> None:
     """A load moves what every joint's friction is told from."""
     load = Fitted("payload", None, dict.fromkeys(("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"), 0.0), {})
     robot = load_robot("lwa4p")
-    assert kept_elsewhere(Settings(), ["cubic_viscous:arm_1_joint"], [load], robot) == Settings()
+    assert retained_elsewhere(Settings(), ["cubic_viscous:arm_1_joint"], [load], robot) == Settings()
