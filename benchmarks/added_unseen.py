@@ -4,8 +4,8 @@
 
 FOLDER: ``robot.urdf`` and recordings, divided as in `real_robots.py`.  The fitted part is identified and diagnosed; then its nominal model is
 fitted again with the numbers of each effect that is named given, and of all together, and with what `identify` gives the laws that it chose
-itself, given.  No gate of `add` is asked and no set identified.  Printed: error [N m] at the effect's joints and, summed, of the whole arm, on
-what was not fitted.
+itself, given; at joints of which these say nothing its laws stay, as with `add`.  A star: the model has it already.  No gate of `add` is
+asked and no set identified.  Printed: error [N m] at the effect's joints and, summed, of the whole arm, on what was not fitted.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.identify.pipeline import identified
 from stopset.offline.nominal.low_pass import recorded_low_pass
+from stopset.offline.revise.judge import retained_elsewhere
 from stopset.recording import Recording, Recordings, read_recordings
 
 
@@ -38,7 +39,8 @@ def fitted_again(model: Model, fit: Recordings, known: Sequence[Fitted]) -> Mode
     trials = tuple(r for r in fit.trials if r.suite_key not in seen.held_out)
     learnt = replace(seen, sample=tuple(r for r in seen.sample if r.suite_key not in seen.held_out))
     learnt = replace(learnt, low_pass=recorded_low_pass(robot, learnt.sample))
-    settings = replace(settings_of(model), effects=tuple(f.label for f in known))
+    chosen = tuple(model.provenance.get("chosen", ()))
+    settings = replace(retained_elsewhere(settings_of(model), chosen, known, robot), effects=tuple(f.label for f in known))
     part = fit_nominal(Run(robot, fit.meta, lambda: iter(trials), learnt, settings), tuple(known))
     return replace(model, robot=part.robot, rotor=part.rotor, effects=part.effects, abstraction=part.abstraction)
 
@@ -56,7 +58,15 @@ def asked(folder: Path) -> None:
     own = [f for f in model.effects if f.label in model.provenance.get("chosen", ())]
     before = fitted_again(model, data, ())
     print(f"{folder.name}: {found.verdict} {[f.label for f in named]}; all of {sum(ours(before, test)):.3f} N m", flush=True)
-    for name, known in [("all that is named", named), *((f.label, [f]) for f in named), *((f"own {f.label}", [f]) for f in own)]:
+    has = {f.label for f in own}
+    new = [f for f in named if f.label not in has]
+    each = [(f"{f.label}{'*' * (f.label in has)}", [f]) for f in named]
+    for name, known in [
+        ("all that is named", named),
+        ("all that the model has not", new),
+        *each,
+        *((f"own {f.label}", [f]) for f in own),
+    ]:
         said(name, known, (before, fitted_again(model, data, known)), test)
 
 

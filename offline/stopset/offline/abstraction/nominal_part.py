@@ -19,7 +19,7 @@ from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.survey import Survey, on_grid
 from stopset.offline.campaign.trials import Pairs, Source
 from stopset.offline.inspect.gate import check_torque
-from stopset.offline.nominal.friction_choice import Gain, choose
+from stopset.offline.nominal.friction_choice import Choice, Gain, choose
 from stopset.offline.nominal.known_effects import described, plain
 from stopset.offline.nominal.nominal import Nominal, identify_nominal, solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
@@ -126,8 +126,9 @@ def _motor(run: Run, known: tuple[Fitted, ...]) -> NominalPart:
     chosen: tuple[Gain, ...] = ()
     if settings.friction == "evidence":
         barred = [e for e in settings.effects if e not in asked] + [f.label for f in known] + [e for e in asked if ":" in e]
-        everywhere, among = [e for e in asked if ":" not in e], settings.friction_among
-        chosen = choose(cad, of(arm), len(set(found.motion.values())), everywhere, barred, prepared, among)
+        everywhere = [e for e in asked if ":" not in e]
+        choice = Choice(everywhere, barred, settings.friction_among, settings.friction_retained)
+        chosen = choose(cad, of(arm), len(set(found.motion.values())), choice, prepared)
     laws = tuple(dict.fromkeys((*base(), *asked, *(g.name for g in chosen))))
     nominal = _at_load(cad, _weighed(cad, arm, of, known, laws, prepared), of, laws, prepared)
     strange = check_torque(cad, run.meta, nominal.data, nominal.delay, found.sample)

@@ -26,13 +26,15 @@ class Settings:
     mixed: bool = False  # recordings of several conditions are taken as one
     friction: str = "evidence"  # laws beside Coulomb and viscous are chosen by held-out error; "plain": none but those asked for
     friction_among: tuple[str, ...] | None = None  # laws (``effect:joint``) that the evidence may choose among; None: any
+    friction_retained: tuple[str, ...] = ()  # those of them that stay whatever the evidence says
     ladder: bool = False  # the next abstraction is tried where the sets of the linear model say too little
 
 
 def settings_of(model: Model) -> Settings:
     """The settings a model was identified with. Raises `ModelFileError` for settings that this stopset does not have."""
     stored = dict(model.provenance.get("settings", {}))
-    stored["effects"] = tuple(stored.get("effects", ()))
+    for name in ("effects", "friction_retained"):
+        stored[name] = tuple(stored.get(name, ()))
     if stored.get("friction_among") is not None:
         stored["friction_among"] = tuple(stored["friction_among"])
     stored.setdefault("friction", "plain")  # models older than the choice had none

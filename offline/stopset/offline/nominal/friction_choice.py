@@ -56,17 +56,26 @@ class Gain:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What there is to choose: laws ``asked`` for are there anyway, none is ``barred`` (``effect:joint`` or ``effect``), all are ``among``
+    these (``effect:joint``; None: any), and those ``retained`` of these stay whatever the evidence says."""
+
+    asked: Sequence[str] = ()
+    barred: Sequence[str] = ()
+    among: tuple[str, ...] | None = None
+    retained: tuple[str, ...] = ()
+
+
 def choose(
     robot: Robot,
     trials: Callable[[], Iterable[Recording]],
     motions: int,
-    asked: Sequence[str] = (),
-    barred: Sequence[str] = (),
+    choice: Choice = Choice(),
     settings: Preprocessing | None = None,
-    among: tuple[str, ...] | None = None,
 ) -> tuple[Gain, ...]:
-    """The laws that ``trials`` ask for beside `base` friction and those ``asked`` for, none of them ``barred`` (``effect:joint``
-    or ``effect``), all ``among`` these (``effect:joint``; None: any); ``motions``: independent ones in the trials."""
+    """The laws that ``trials`` ask for beside `base` friction, by ``choice``; ``motions``: independent ones in the trials."""
+    asked, barred, among = choice.asked, choice.barred, choice.among
     laws = [x for x in usual() if x not in asked and x not in barred]
     if not laws or among == ():
         return ()
@@ -83,7 +92,7 @@ def choose(
         richest = solve_nominal(robot, data)
         reference = richest.pi
     # noise, delay and how far the description is off are those of the richest model: a poorer one blames them for its lack
-    ladder = _Ladder(robot, data, richest)
+    ladder = _Ladder(robot, data, richest, choice.retained)
     allowed = {
         (j, x): p for j in range(robot.n) for x in laws
         if (name := f"{x}:{robot.joints[j]}") not in barred and (among is None or name in among) and len(p := ladder.places(j, x))
@@ -100,8 +109,9 @@ def _named(parts: Iterable[Recording]) -> Iterator[Recording]:
 class _Ladder:
     """Held-out errors of models with some of the columns of ``data``."""
 
-    def __init__(self, robot: Robot, data: NormalEquations, richest: Nominal) -> None:
+    def __init__(self, robot: Robot, data: NormalEquations, richest: Nominal, stay: Sequence[str] = ()) -> None:
         self._robot, self._data, self._richest = robot, data, richest
+        self._retained = {(j, x) for j, joint in enumerate(robot.joints) for x in usual() if f"{x}:{joint}" in stay}
         lags = [lag_weights(float(d)) for d in richest.delay_applied]
         moving = np.stack([joint_reduced(data.moving[:, j], w) for j, w in enumerate(lags)], axis=1)
         still = np.array([joint_reduced(data.still[j], w) for j, w in enumerate(lags)])
@@ -128,10 +138,10 @@ class _Ladder:
     def whole_arm(self, laws: Sequence[str], allowed: Places) -> Places:
         """The subset of ``laws``, at every joint that allows them, of the least held-out error, joints counting alike."""
         if len(self._folds) < 2:
-            return {}
+            return {key: p for key, p in allowed.items() if key in self._retained}
 
         def of(some: Sequence[str]) -> Places:
-            return {key: p for key, p in allowed.items() if key[1] in some and self._rows[key[0]]}
+            return {key: p for key, p in allowed.items() if (key[1] in some or key in self._retained) and self._rows[key[0]]}
 
         subsets = [of(some) for k in range(len(laws) + 1) for some in combinations(laws, k)]
         return min(subsets, key=lambda some: self._value(some.values()))
@@ -141,12 +151,13 @@ class _Ladder:
 
         A law that helps others only, and not the joint it acts at, stands for something else: it is left out.
         """
-        pool = {key: p for key, p in allowed.items() if self._rows[key[0]] and self._possible(p)}
-        now = {key: p for key, p in places.items() if key in pool}
+        stay = {key: p for key, p in allowed.items() if key in self._retained and self._rows[key[0]]}
+        pool = {key: p for key, p in allowed.items() if key not in stay and self._rows[key[0]] and self._possible(p)}
+        now = {key: p for key, p in places.items() if key in pool} | stay
         while True:
             now = self._lowest(now, pool)
             gains = {key: self._gain(key, now) for key in now}
-            idle = [key for key, g in gains.items() if g.after > (1 - GAINS) * g.before]
+            idle = [key for key, g in gains.items() if key not in stay and g.after > (1 - GAINS) * g.before]
             if not idle:
                 return list(gains.values())
             pool = {key: p for key, p in pool.items() if key not in idle}
@@ -156,8 +167,9 @@ class _Ladder:
         """The subset of ``pool`` from which no single law more or less lowers the held-out error and its price."""
         price = -float(np.log1p(-GAINS))
         now, least = start, self._value(start.values()) + price * len(start)
+        stay = {k: p for k, p in start.items() if k not in pool}
         while pool:
-            tried = [{k: p for k, p in pool.items() if (k in now) != (k == key)} for key in pool]
+            tried = [{k: p for k, p in pool.items() if (k in now) != (k == key)} | stay for key in pool]
             values = [self._value(some.values()) + price * len(some) for some in tried]
             best = int(np.argmin(values))
             if values[best] >= least:
