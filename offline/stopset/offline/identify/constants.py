@@ -117,7 +117,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("prior", prior, "IDENTIFICATION LIGHT CARRIED CARRIED_AT"),
     ("quadratic program", qp, "TOLERANCE"),
     ("rotors", rotors, "POSES FAR"),
-    ("scale", scale, "SHARE LOOSELY"),
+    ("scale", scale, "SHARE PULL"),
     ("unidentifiable", unidentifiable, "OPEN NOTABLE UNSEEN RANK"),
     ("abstraction choice", choose, "WINDOWS TIE"),
     ("swift inputs", swift, "LOWERS"),

@@ -27,6 +27,7 @@ from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.diagnose.question import in_time
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
+from stopset.offline.identify.rests import at_rest
 from stopset.offline.identify.signals_file import RetainedSignals
 from stopset.offline.nominal.parameter_uncertainty import notes as uncertainty_notes
 from stopset.offline.nominal.parameter_uncertainty import widened
@@ -92,7 +93,8 @@ def packed(
     tightness = tight(result.sets)
     geared = nominal.rotors_shown
     odd = [*silent(found, robot.joints, tightness, geared=geared), *absurd(result.sets, errors, found, geared=geared)]
-    said = (*late(found, robot.joints), *tightness.words(robot.joints), *(o.says for o in odd))
+    rests = at_rest(seen.active, found.sample, robot.joints)
+    said = (*late(found, robot.joints), *rests, *tightness.words(robot.joints), *(o.says for o in odd))
     bare = result.table[seen.conform].U  # a margin from few motions differs from one identification to the next
     widths = {"sum_U_width": float(result.sets.U.width.sum()), "sum_U_width_without_margin": float(bare.width.sum())}
     total = widths | _sums(errors)

@@ -13,7 +13,7 @@ from stopset.robot import Robot
 from stopset.types import Array
 
 LAWS: tuple[Part, Part] = ("dry friction", "damping")
-LOOSELY = 1e-6  # of columns scaled to one, which hold of the rigid body what one joint cannot tell apart
+PULL = 1e-6  # of columns scaled to one, which hold of the rigid body what one joint cannot tell apart
 SHARE = 0.3  # least part of the torque, root mean square, that the rigid body must make up
 
 
@@ -79,7 +79,7 @@ def rubbing(robot: Robot, data: NormalEquations) -> Rubbing:
         at = [*range(head), *(head + parts.index(x) for x in LAWS), len(G) - 1]
         S = G[np.ix_(at, at)]
         d = 1 / np.sqrt(np.maximum(np.diag(S)[:-1], 1e-12 * np.trace(S)))
-        inverse = np.linalg.inv(d[:, None] * S[:-1, :-1] * d + LOOSELY * np.eye(len(S) - 1))
+        inverse = np.linalg.inv(d[:, None] * S[:-1, :-1] * d + PULL * np.eye(len(S) - 1))
         x = d * (inverse @ (d * S[:-1, -1]))
         v = np.append(x, -1.0)
         variance = max(float(v @ S @ v), 0.0) / rows * TOGETHER

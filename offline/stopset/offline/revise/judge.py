@@ -188,7 +188,7 @@ def by_evidence(
     found, refused = [e for e in answer.found if e.name not in has], dict[str, str]()
     while True:
         wanted = [n for n in names if any(e.name == n for e in found)]
-        more = replace(around(found), effects=(*settings.effects, *wanted))
+        more = replace(around(found) if found else settings, effects=(*settings.effects, *wanted))
         taken = (*retained, *(e.fitted for e in found))
         after = judge.simulated(more, taken) if found else plain
         worse = {} if force else _worse(judge.robot, wanted, (plain, after), chosen)
