@@ -15,7 +15,10 @@ import found_outside
 @pytest.mark.parametrize(
     ("seed", "healthy"),
     [
-        (117001, False),  # torque through a filter of 20 Hz, 6 ms late at 100 Hz: gravity that came late was 11 % more friction of a shoulder
+        (
+            117001,
+            False,
+        ),  # torque through a filter of 20 Hz, 6 ms late at 100 Hz: gravity that came late was 11 % more friction of a shoulder
         (117014, False),  # a model of two circles, at other poses: a spring beside a torque scale of 9 % that takes it away again
         (119001, True),  # such a filter rounds reversals off: hysteresis over 0.2 mrad, which pass from one row to the next
     ],
