@@ -99,8 +99,7 @@ def test_every_threshold_has_a_meaning_and_a_calibration() -> None:
 # numbers of the diagnosis that decide nothing: module, names, why
 FINENESS = (
     ("levels", "FEW", "rows on which torques are held side by side"),
-    ("changes", "RIDGE", "rounding"),
-    ("changes", "STEPS", "how often joints are weighed anew by what is left of them"),
+    ("changes", "RIDGE STEPS", "rounding; how often joints are weighed by what is left of them"),
     ("columns/elasticity", "RATHER_NOT SUBSTEPS SWING_ROUNDS", "how finely a swing is integrated"),
     (
         "plays",

@@ -32,7 +32,8 @@ def _held(model: Model, q: Inquiry, ranked: tuple[Ranked, ...]) -> tuple[Ranked,
     """The claims, with an objection where the model leaves more of a joint with a claim's torque than without it.
 
     The search lets links, scales and levels be others within what a model may be off.  So two of them may cancel: a spring beside links
-    that weigh less, of which neither is there, where a model is wrong by a little at poses that it has not seen.
+    that weigh less, of which neither is there, where a model is wrong by a little at poses that it has not seen.  Of friction levels are
+    others every day, and from motion to motion: a law of it is not asked.
     """
     known = {f.label for f in model.effects}
     moving = [r for r in q.recordings if moves(r)]
@@ -40,9 +41,8 @@ def _held(model: Model, q: Inquiry, ranked: tuple[Ranked, ...]) -> tuple[Ranked,
         named = [r for r in ranked if not r.objection and r.label not in known]
         added = [r for r in named if given_by_state(r)]
         others = [r for r in named if r not in added]
-        asked = [
-            r for r in added if len(r.joints) == 1 and not any(not o.joints or set(o.joints) & set(r.joints) for o in others)
-        ]
+        alone = [r for r in added if len(r.joints) == 1 and get(r.effect).role != "friction"]
+        asked = [r for r in alone if not any(not o.joints or set(o.joints) & set(r.joints) for o in others)]
         if not asked:
             return ranked
         rises = {r.label: _rise(model, moving, added, r) for r in asked}

@@ -297,10 +297,10 @@ def _between_rows(claim: Claim) -> str:
     Rows then show none of its curve, and what a filter of the torque makes of a reversal looks like it.
     """
     c, least = claim.scored.candidate, limit.CREEP * ROW_STEP
-    passed = [c.shapes[p.symbol] for p in c.effect.shapes if p.unit == "rad" and c.effect.states]
-    if not passed or min(passed) >= least:
+    travels = [c.shapes[p.symbol] for p in c.effect.shapes if p.unit == "rad" and c.effect.states]
+    if not travels or min(travels) >= least:
         return ""
-    return f"its way of {min(passed):.2g} rad is passed from one row to the next at any speed that is asked ({least:.2g} rad)"
+    return f"its way of {min(travels):.2g} rad is passed from one row to the next at any speed that is asked ({least:.2g} rad)"
 
 
 def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:

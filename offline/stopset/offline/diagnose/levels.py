@@ -100,7 +100,7 @@ def level_changes(model: Model, q: Array, dq: Array, ddq: Array, moving: NDArray
         error = _level_error(model, j, q[moving[:, j]], dq[moving[:, j]], ddq[moving[:, j]])
         out += _friction(j, rubs[j], (_said_of(dry_law, dry), dry_error), (_said_of(damping, wet), wet_error), error)
         usual, carried = dry + wet * _usual(speed[:, j]), float(np.sqrt(np.mean(rigid[:, j] ** 2)))
-        least = np.array([max(limit.DAILY * dry, limit.LEAST_GAIN * carried)])  # links may be off by as much as a scale
+        least = np.array([max(limit.DAILY * dry, limit.DRIVES * carried)])  # constants off one by one show at other poses
         out.append(LevelChange(j, at(np.ones(len(q)), j=j), rubs[j], (_said_of(offset),), np.zeros(1), least))
         if carried > limit.LOADED_GAIN * usual:
             least = np.array([limit.LEAST_GAIN])

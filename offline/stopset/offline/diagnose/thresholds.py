@@ -344,7 +344,7 @@ LATER = (
     Threshold("DAILY", "share of its level by which friction must have changed", "%",
               "a real UR10e differs by 1.6 % (root mean square; at most 3.7 %) on six days of 28 s and more, by up to 15 % on two of fewer "
               "(`benchmarks/daily_friction.py`)"),
-    Threshold("LEAST_GAIN", "change of a joint's torque scale, and of a constant torque over what the joint carries", "%",
+    Threshold("LEAST_GAIN", "change of a joint's torque scale", "%",
               "chosen: descriptions are off by as much"),
     Threshold("LEAST_MASS", "change of the load at the flange", "kg",
               "chosen"),
