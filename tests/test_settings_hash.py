@@ -94,6 +94,7 @@ LEFT_OUT = (
     ("stopset.offline.inspect.*", "*", GATE),
     ("stopset.offline.nominal.fit", "ANOTHER_ARM", WORDS),
     ("stopset.offline.nominal.scale", "LAWS", WORDS),
+    ("stopset.offline.identify.rests", "STANDS MOSTLY", SHOWN),
     ("stopset.offline.nominal.fit", "NOTABLY_OFF", WORDS),
     ("stopset.offline.nominal.low_pass", "TURNS_OVER", WORDS),
     ("stopset.offline.abstraction.nominal_part", "NO_TRACE", WORDS),
