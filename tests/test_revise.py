@@ -218,62 +218,31 @@ def test_stops_of_two_revisions_are_compared_where_both_have_been() -> None:
 LAW, OTHER_LAW = "load_coulomb:lift", "quadratic_load:lift"
 
 
-def _judge(monkeypatch: pytest.MonkeyPatch, name: str, simulated: Any) -> judging.Judge:
-    """What judges ``name`` at a joint where the model has `LAW`; the diagnosis says that it halves the error there."""
+@pytest.mark.parametrize(("name", "says"), [(LAW, "its numbers stay"), (OTHER_LAW, f"the model has {LAW} there already")])
+def test_friction_that_raises_the_error_of_motions_kept_back_is_refused(
+    monkeypatch: pytest.MonkeyPatch, name: str, says: str
+) -> None:
+    """The diagnosis said that its error falls, beside no such law; held against the model that has one it rises. Asked by name, taken by force."""
     joints = ("turn", "lift")
 
-    def errors(self: Any, settings: Settings, known: Sequence[Fitted]) -> dict[str, float]:
-        each = {f"{key}:{j}": (simulated(settings, known) if j == "lift" else 1.0) for key in judging.HELD_OUT for j in joints}
+    def errors(lift: float) -> dict[str, float]:
+        each = {f"{key}:{j}": (lift if j == "lift" else 1.0) for key in judging.HELD_OUT for j in joints}
         return {**dict.fromkeys(judging.HELD_OUT, 1.0), **each}
+
+    def simulated(self: Any, settings: Settings, known: Sequence[Fitted]) -> dict[str, float]:
+        return errors(1.1 if known else 1.0)
 
     found = SimpleNamespace(name=name, before=np.array([1.0, 2.0]), after=np.array([1.0, 1.0]), fitted=Fitted(name, None, {}, {}))
     answer = SimpleNamespace(found=(found,), before=np.array([1.0, 2.0]), words="all")
     for target, fake in (("question", None), ("estimates", answer), ("retained_effects", ()), ("own", True)):
         monkeypatch.setattr(judging, target, lambda *args, fake=fake: fake)
-    monkeypatch.setattr(judging.Judge, "simulated", errors)
+    monkeypatch.setattr(judging.Judge, "simulated", simulated)
     model: Any = SimpleNamespace(joints=joints, provenance={"chosen": [LAW]})
     campaign: Any = SimpleNamespace(meta=Meta(joints=joints), trials=lambda: iter(()))
     robot: Any = SimpleNamespace(joints=joints, n=2)
-    return judging.Judge(model, robot, campaign, SimpleNamespace(words="all"), silent)  # type: ignore[arg-type]
-
-
-def test_friction_that_raises_the_error_of_motions_kept_back_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The diagnosis said that its error falls, beside no such law; held against the model that has one it rises. Asked by name, taken by force."""
-    judge = _judge(monkeypatch, OTHER_LAW, lambda settings, known: 1.1 if known else 1.0)
-    (told,) = judging.by_evidence(judge, Settings(), [OTHER_LAW], None, force=False).judged
-    assert not told.helps and f"the model has {LAW} there already" in told.why and "would rise from 1 to 1.1 N m" in told.why
-    assert not told.in_model
-    (forced,) = judging.by_evidence(judge, Settings(), [OTHER_LAW], None, force=True).judged
-    assert forced.helps and not forced.why
-
-
-def test_a_law_that_the_model_has_is_shown_against_a_model_without_it_and_keeps_its_numbers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The diagnosis' error without the law was told as the model's: it fell by a quarter, and the model that was left lacked what it had lacked
-    before, with torque sets a third wider (of a real UR10e: 107 to 143 N m, torque error of `compare` 2.21 to 2.27 N m)."""
-    bare: list[Settings] = []
-
-    def simulated(settings: Settings, known: Sequence[Fitted]) -> float:
-        assert not known, "the diagnosis' numbers"
-        if settings.friction_among is not None:
-            bare.append(settings)
-        return 1.2 if settings.friction_among == () else 1.0
-
-    judge = _judge(monkeypatch, LAW, simulated)
-    verdict = judging.by_evidence(judge, Settings(), [LAW], None, force=False)
-    (told,) = verdict.judged
-    key = f"{judging.HELD_OUT[0]}:lift"
-    assert told.in_model and told.helps and (told.before[key], told.after[key]) == (1.2, 1.0)
-    assert verdict.without is not None and verdict.without.friction_among == () and bare, "compared with a model without it"
-    assert verdict.settings == Settings() and not verdict.known, "the revision is the model as it is"
-    assert verdict.first[key] == 1.2
-
-
-def test_a_law_that_explains_nothing_of_what_was_held_out_is_no_revision(monkeypatch: pytest.MonkeyPatch) -> None:
-    judge = _judge(monkeypatch, LAW, lambda settings, known: 1.0)
-    (told,) = judging.by_evidence(judge, Settings(), [LAW], None, force=False).judged
-    assert told.in_model and not told.helps and "its numbers stay" in told.why
-    judge = _judge(monkeypatch, LAW, lambda settings, known: 1.1 if known else 1.0)
-    (forced,) = judging.by_evidence(judge, Settings(), [LAW], None, force=True).judged
+    judge = judging.Judge(model, robot, campaign, None, silent)  # type: ignore[arg-type]
+    (told,) = judging.by_evidence(judge, Settings(), [name], None, force=False).judged
+    assert not told.helps and says in told.why and "would rise from 1 to 1.1 N m" in told.why
+    assert told.in_model == (name == LAW)
+    (forced,) = judging.by_evidence(judge, Settings(), [name], None, force=True).judged
     assert forced.helps and not forced.why

@@ -71,10 +71,6 @@ def run(args: argparse.Namespace) -> int:
         done = add(model, names, campaign, force=args.force, progress=progress, keep=args.keep_as if args.keep else None)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
-        if j.in_model and not j.why and not args.force:
-            say(
-                "  the model has it already: identification chose it, and its numbers stay; before is a model of these recordings without it"
-            )
         if j.beside and not j.why:
             say(
                 f"  its numbers are those beside {', '.join(j.beside)}, found there too: add {'them' if len(j.beside) > 1 else 'it'} as well"

@@ -22,7 +22,7 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.compensated import JointStep, OpenLoop, search_open_loop
-from stopset.offline.diagnose.estimate import Estimate, Estimates, estimates
+from stopset.offline.diagnose.estimate import Estimate, estimates
 from stopset.offline.diagnose.evidence.baseline import own, settled
 from stopset.offline.diagnose.lacking import rises
 from stopset.offline.diagnose.question import question
@@ -50,20 +50,18 @@ class Judged:
     enters: str  # where it goes in the model
     why: str = ""
     beside: tuple[str, ...] = ()
-    in_model: bool = False  # identification chose it in these recordings: ``before`` is without it, and its numbers stay
+    in_model: bool = False  # identification chose it in these recordings: added, it gets the diagnosis' numbers
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """All that was judged; ``first``: errors without any; what to identify the revision with; ``words``: what judged; ``without``: settings of
-    a model without those that identification chose itself, where such are among them."""
+    """All that was judged; ``first``: errors without any; what to identify the revision with; ``words``: what judged."""
 
     judged: tuple[Judged, ...]
     first: dict[str, float]
     settings: Settings
     known: tuple[Fitted, ...]
     words: str
-    without: Settings | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,26 +167,24 @@ def by_evidence(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
+    judge.progress("estimating what was asked for, beside every effect of the catalogue")
+    recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
+    q = question(judge.model, recordings)
+    answer = estimates(q, names, judge.progress)
     joints, same = judge.model.joints, own(judge.model, judge.campaign.meta)
     chosen = tuple(judge.model.provenance.get("chosen", ())) if same else ()
-    has = () if force else tuple(n for n in names if n in chosen)
-    answer = _estimated(judge, names) if len(has) < len(names) else Estimates((), None, judge.halves.words)
     judge.progress("simulating without and with it")
     retained = retained_effects(judge.model)
 
     def around(added: Sequence[Estimate]) -> Settings:
         return retained_elsewhere(settings, chosen, [e.fitted for e in added], judge.robot) if same else settings
 
-    others = tuple(x for x in chosen if x not in has)
-    less = replace(settings, friction_among=others, friction_retained=others) if has else None
     rubs = any(levelled(n, judge.robot) for n in names)
-    anew = less is not None or (rubs and bool(answer.found))
-    plain = dict(first) if first and not anew else judge.simulated(around([]), retained)
-    bare = judge.simulated(less, retained) if less else plain
-    found, refused = [e for e in answer.found if e.name not in has], dict[str, str]()
+    plain = dict(first) if first and not (rubs and answer.found) else judge.simulated(around([]), retained)
+    found, refused = list(answer.found), dict[str, str]()
     while True:
         wanted = [n for n in names if any(e.name == n for e in found)]
-        more = replace(around(found) if found else settings, effects=(*settings.effects, *wanted))
+        more = replace(around(found), effects=(*settings.effects, *wanted))
         taken = (*retained, *(e.fitted for e in found))
         after = judge.simulated(more, taken) if found else plain
         worse = {} if force else _worse(judge.robot, wanted, (plain, after), chosen)
@@ -196,41 +192,18 @@ def by_evidence(
             break
         refused |= worse
         found = [e for e in found if e.name not in worse]
-    start = bare if less else _with_torque(first or plain, joints, answer.before)
+    start = _with_torque(first or plain, joints, answer.before)
     judged = []
     for name in names:
-        mine, enters = [e for e in answer.found if e.name == name], entry(get(name.partition(":")[0]))
-        if name in has:  # its own numbers, and the error of the model itself: what the diagnosis leaves in question it has
-            why = _idle(judge.robot, name, (bare, plain))
-            judged.append(Judged(name, bare, plain, not why, enters, why, in_model=True))
-            continue
+        mine = [e for e in answer.found if e.name == name]
         if not mine:
             judged.append(Judged(name, start, start, helps=False, enters="", why=NO_TRACE))
             continue
         sides = (first or plain if mine[0] is answer.found[0] else after), after
         a, b = (_with_torque(x, joints, row) for x, row in zip(sides, (mine[0].before, mine[-1].after), strict=True))
         why = refused.get(name, "")
-        judged.append(Judged(name, a, b, not why, enters, why, in_model=name in chosen))
-    return Judgement(tuple(judged), start, more, taken, answer.words, less)
-
-
-def _estimated(judge: Judge, names: Sequence[str]) -> Estimates:
-    """What the diagnosis says of the effects ``names``."""
-    judge.progress("estimating what was asked for, beside every effect of the catalogue")
-    recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
-    return estimates(question(judge.model, recordings), names, judge.progress)
-
-
-def _idle(robot: Robot, name: str, errors: tuple[Mapping[str, float], Mapping[str, float]]) -> str:
-    """Why a law that identification chose is no revision of its own; ``errors``: without and with it, on what was held out."""
-    for j in parse_effect(name, robot)[1]:
-        a, b = (x[f"{HELD_OUT[0]}:{j}"] for x in errors)
-        if b < a:
-            return ""
-    return (
-        f"the model has it already, and its numbers stay: without it the torque that the model leaves of {j} is {a:.3g} N m on held-out data, "
-        f"with it {b:.3g}"
-    )
+        judged.append(Judged(name, a, b, not why, entry(get(name.partition(":")[0])), why, in_model=name in chosen))
+    return Judgement(tuple(judged), start, more, taken, answer.words)
 
 
 def retained_elsewhere(settings: Settings, chosen: Sequence[str], added: Sequence[Fitted], robot: Robot) -> Settings:

@@ -7,7 +7,7 @@ with the numbers, unless forced; so is a revision whose torque sets are wider th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -80,7 +80,7 @@ def add(
     Raises `EffectError` if an effect or joint is unknown or already part of the model.
     """
     robot, settings = model.robot.as_described, settings_of(model)
-    names = _names(effects, robot, settings, {x for r in model.revisions for x in r.added.split(", ")})
+    names = _names(effects, robot, settings)
     if not settings.mixed:
         one_condition(campaign.seen.tally.conditions)
     judge = Judge(model, robot, campaign, halves(campaign), progress)
@@ -92,9 +92,9 @@ def add(
     found, without, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
     fresh = found.model
     progress("bounding stops before and after")
-    before = _figures(model, without) | verdict.first | stop_figures(without or model, fresh)
+    before = _figures(model, without) | verdict.first | stop_figures(model, fresh)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
-    after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, without or model)
+    after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
     if refused:
         judged = tuple(replace(j, helps=False, why=j.why or refused) for j in verdict.judged)
         return Revised(None, before, after, judged, verdict.words)
@@ -118,21 +118,16 @@ def _revision(
         """What is identified so, and why it is refused."""
         found = identified(robot, campaign, settings, progress, known=verdict.known, keep=keep)
         wrong = widened(before, found.model.revisions[-1].after) or risen(model, found.model, verdict.judged)
-        as_it_was = all(j.why or (j.in_model and not force) for j in verdict.judged)
-        return found, "" if force or as_it_was else wrong
+        return found, "" if force else wrong
 
     without: Model | None = model
     if not own(model, campaign.meta):
         progress("identifying these recordings without it")
-        without = _plain(model, campaign, settings_of(model))
-    elif verdict.without:
-        progress("identifying a model without it, as identification chose it already")
-        without = _plain(model, campaign, verdict.without)
+        without = _plain(model, campaign)
     before = _figures(model, without)
     progress("identifying the new revision")
     found, refused = revision(verdict.settings)
-    like = model if verdict.without else without
-    chosen = () if like is None else tuple(like.provenance.get("chosen", ()))
+    chosen = () if without is None else tuple(without.provenance.get("chosen", ()))
     if refused and not set(found.model.provenance.get("chosen", ())) <= set(chosen):
         progress("identifying it with the friction that there is without it")
         found, refused = revision(replace(verdict.settings, friction_among=chosen))
@@ -147,10 +142,10 @@ def _figures(model: Model, without: Model | None) -> dict[str, float]:
     return figures | {key: without.revisions[-1].after[key] if without else float("inf") for key in WIDTHS}
 
 
-def _plain(model: Model, campaign: Campaign, settings: Settings) -> Model | None:
-    """A model without what is added, of recordings of another day or with fewer laws; None where no sets enclose them."""
+def _plain(model: Model, campaign: Campaign) -> Model | None:
+    """A model of recordings of another day without what is added; None where no sets enclose them."""
     try:
-        return identified(model.robot.as_described, campaign, settings, silent, known=retained_effects(model)).model
+        return identified(model.robot.as_described, campaign, settings_of(model), silent, known=retained_effects(model)).model
     except NotConformant:
         return None
 
@@ -190,8 +185,8 @@ def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> str:
     return ""
 
 
-def _names(effects: Sequence[str], robot: Robot, settings: Settings, revised: Collection[str]) -> tuple[str, ...]:
-    """Effects as ``effect`` or ``effect:joint``, each known, fitting the robot and new to the model; ``revised``: what its revisions added."""
+def _names(effects: Sequence[str], robot: Robot, settings: Settings) -> tuple[str, ...]:
+    """Effects as ``effect`` or ``effect:joint``, each known, fitting the robot and new to the model."""
     names = tuple(effects)
     for k, name in enumerate(names):
         if parse_effect(name, robot)[0].base:
@@ -199,7 +194,7 @@ def _names(effects: Sequence[str], robot: Robot, settings: Settings, revised: Co
                 f"{name}: every model has it, and its level is found at each identification; identify again from recordings of today "
                 "(`stopset identify`)"
             )
-        if name in settings.effects or name in revised:
+        if name in settings.effects:
             raise EffectError(f"{name} is already part of this model; name another effect, or identify again with other data")
         if name in names[:k]:
             raise EffectError(f"{name} is named twice; name every effect once")
@@ -217,12 +212,7 @@ def _judged_before(model: Model, campaign: Campaign) -> dict[str, float] | None:
 
 def _note(taken: Sequence[Judged], judged_on: str) -> str:
     """What the model file says of a revision: where each effect went, and which were forced."""
-    parts = [
-        f"{j.name} enters {j.enters}"
-        + (" (identification chose it; before: without it)" if j.in_model and j.helps else "")
-        + ("" if j.helps else " (forced: it does not help on held-out data)")
-        for j in taken
-    ]
+    parts = [f"{j.name} enters {j.enters}" + ("" if j.helps else " (forced: it does not help on held-out data)") for j in taken]
     return "; ".join([*parts, f"judged on {judged_on}"])
 
 
