@@ -63,6 +63,13 @@ def test_columns_are_found_by_their_names(names: list[str], mark: str, tmp_path:
     assert read_meta(out).joints == (("hip", "knee", "toe") if "/" in names[1] else ("joint_1", "joint_2", "joint_3"))
 
 
+def test_of_columns_of_one_name_the_first_counts(tmp_path: Path) -> None:
+    out, names = tmp_path / "rec.parquet", [*WRITTEN["plain"], *numbered("q#", "dq#", "tau#")[1:]]
+    path = text(tmp_path / "a.csv", names, table=np.column_stack([ALL, 9 * ALL[:, 1:]]))
+    assert main(["import", str(path), "--out", str(out)]) == 0
+    assert read_recordings(out).trials[0].tau == pytest.approx(TAU)
+
+
 def test_what_was_asked_of_the_arm_is_not_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = [*numbered("q_d_#", "dq_d_#", "tau_ext_#", 0), *numbered("q_#", "dq_#", "tau_J_#", 0)[1:], "mode"]
     table = np.column_stack([T, 9 * Q, 9 * DQ, 9 * TAU, Q, DQ, TAU, np.ones(N)])
@@ -231,6 +238,8 @@ def test_currents_become_torques_by_stated_constants(tmp_path: Path, capsys: pyt
         (lambda t: t, ["--columns", "x=q*"], "--columns"),
         (lambda t: t, ["--columns", "q=none*,tau=tau*"], "no such column"),
         (lambda t: t, ["--joints", "a,b"], "2 joints"),
+        (lambda t: t, ["--joints", "a,b,a"], "twice"),
+        (lambda t: t, ["--columns", "t=t,q=tau*,tau=tau*"], "twice"),
         (lambda t: t, ["--cycle", "7"], "0.0001"),
     ],
 )

@@ -62,6 +62,10 @@ def run(args: argparse.Namespace) -> int:
     if args.cycle is not None and not 1e-4 <= args.cycle <= 1.0:
         raise RecordingError(f"--cycle is {args.cycle}; expected seconds, from 0.0001 to 1")
     joints = tuple(args.joints.split(",")) if args.joints else None
+    if joints and (twice := sorted({j for j in joints if joints.count(j) > 1})):
+        raise RecordingError(
+            f"--joints {args.joints} names {', '.join(twice)} twice; expected each joint once, from base to flange"
+        )
     constants = _numbers(args.torque_constant) if args.torque_constant else None
     stated = Stated(args.columns, joints or _joints_of(args.robot), args.degrees, constants, args.cycle)
     trials: list[Recording] = []

@@ -153,6 +153,9 @@ def asked(names: Sequence[str], text: str, joints: Sequence[str] | None) -> Tabl
                 f"--columns {part}: no such column; expected some of {_few(names)}: give names as they stand there"
             )
         found[kind] = (*found.get(kind, ()), *hit)
+    taken = [n for hit in found.values() for n in hit]
+    if twice := sorted({n for n in taken if taken.count(n) > 1}):
+        raise RecordingError(f"--columns {text} takes {_few(twice)} twice; expected each column once: name them more closely")
     q = found.get("q", ())
     lengths = {kind: len(x) for kind, x in found.items() if kind != "t"}
     if not q or len(set(lengths.values())) > 1 or len(found.get("t", ("t",))) != 1:

@@ -58,7 +58,7 @@ def _text(path: Path) -> Tabular:
     if not _is_number(split[0]):
         names = tuple(split)
         if marks:
-            return Tabular(path, names, len(names), lambda places: _separated(path, [names[k] for k in places]))
+            return Tabular(path, names, len(names), lambda places: _separated(path, names, places))
         return Tabular(path, names, len(names), lambda places: _plain(path, places, None, headed=True))
     above = tuple(_fields(remark))
     names = above if len(above) == len(split) else ()
@@ -90,16 +90,17 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _separated(path: Path, used: Sequence[str]) -> list[Array]:
-    """Columns by their names in a table as `open_csv` reads them."""
+def _separated(path: Path, names: Sequence[str], places: Sequence[int]) -> list[Array]:
+    """Columns by their places in a table as `open_csv` reads them."""
+    used = {names[k] for k in places}
     try:
         with open_csv(path, used.__contains__) as reader:
-            table = reader.read_all().select(list(used))
+            table = reader.read_all()
     except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as e:
         raise RecordingError(
             f"{path} is not a readable table ({str(e).splitlines()[0]}); expected numbers in every row: was the writing cut off?"
         ) from e
-    return [_numbers(path, c, table.column(c).to_numpy()) for c in used]
+    return [_numbers(path, names[k], table.column(k).to_numpy()) for k in places]
 
 
 def _plain(path: Path, places: Sequence[int], mark: str | None, *, headed: bool) -> list[Array]:
