@@ -48,7 +48,8 @@ def read_table(paths: Sequence[Path], stated: Stated, effort: str, suite: int) -
     try:
         names, columns = _named(tables, stated)
     except RecordingError as e:
-        raise RecordingError(f"{' beside '.join(map(str, paths))}: {e}") from e
+        beside = f" and {len(paths) - 1} beside it" if len(paths) > 1 else ""
+        raise RecordingError(f"{path}{beside}: {e}") from e
     numbers = _loaded(tables, names, columns)
 
     def block(which: Sequence[str]) -> Array:
@@ -108,8 +109,8 @@ def _loaded(tables: Sequence[Tabular], names: Sequence[str], columns: TableColum
     lengths = {len(x) for x in found.values()}
     if len(lengths) > 1:
         raise RecordingError(
-            f"{' beside '.join(str(t.path) for t in tables)} hold {' and '.join(map(str, sorted(lengths)))} rows; expected as many in each: were "
-            "they recorded together?"
+            f"{tables[0].path} and {len(tables) - 1} beside it hold {' and '.join(map(str, sorted(lengths)))} rows; expected as many in each: "
+            "were they recorded together?"
         )
     return found
 
