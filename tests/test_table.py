@@ -135,6 +135,10 @@ def test_degrees_are_converted_where_they_are_told_and_refused_where_not(
     named = [n.replace("q", "q_deg_") if n[0] == "q" else n for n in WRITTEN["plain"]]
     assert main(["import", str(text(tmp_path / "b.csv", named, table=table)), "--out", str(out)]) == 0
     assert read_recordings(out).trials[0].q == pytest.approx(Q)
+    mixed = [n.replace("dq", "vel_rad_s_").replace("q", "q_deg_") for n in WRITTEN["plain"]]
+    table[:, 4:7] = DQ
+    assert main(["import", str(text(tmp_path / "c.csv", mixed, table=table)), "--out", str(out)]) == 0
+    assert read_recordings(out).trials[0].dq == pytest.approx(DQ) and read_recordings(out).trials[0].q == pytest.approx(Q)
 
 
 def test_a_table_without_a_header_has_its_columns_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -57,13 +57,15 @@ def read_table(paths: Sequence[Path], stated: Stated, effort: str, suite: int) -
 
     t, unit = _seconds(path, columns, numbers, stated.period, len(numbers[columns.q[0]]))
     q, dq = block(columns.q), block(columns.dq) if columns.dq else None
-    degrees = stated.degrees or "deg" in {w[:3] for w in words(columns.q[0])}
+    degrees = stated.degrees or _says(columns.q, "deg")
     if degrees:
-        q, dq = np.radians(q), None if dq is None else np.radians(dq)
+        q = np.radians(q)
     elif np.nanmax(np.abs(q), initial=0.0) > TURNS:
         raise RecordingError(
             f"{path}: {columns.q[0]} and others reach {np.nanmax(np.abs(q)):.4g}; expected rad: are they degrees? give --degrees"
         )
+    if dq is not None and (_says(columns.dq, "deg") or (degrees and not _says(columns.dq, "rad"))):
+        dq = np.radians(dq)
     tau, of = _torque(path, columns, numbers, stated.constants)
     trials = _trials(path, t, q, dq, tau, suite)
     rate = 1.0 / float(np.median(np.diff(trials[0].t)))
@@ -74,6 +76,11 @@ def read_table(paths: Sequence[Path], stated: Stated, effort: str, suite: int) -
     left = [n for n in names if n not in {columns.t, *columns.q, *columns.dq, *columns.tau, *columns.i}]
     said = f"{columns} of {', '.join(columns.joints)}; {unit}{'; angles in degrees' if degrees else ''}{of}"
     return meta, trials, said + (f"; {len(left)} other columns left out" if left else "")
+
+
+def _says(names: Sequence[str], unit: str) -> bool:
+    """Whether columns' names tell their unit, ``deg`` or ``rad``."""
+    return unit in {w[:3] for w in words(names[0])}
 
 
 def columns_of(path: Path, names: Sequence[str]) -> dict[str, Array]:
