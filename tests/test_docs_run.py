@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 
 from monitor_arm import motion
@@ -29,6 +30,7 @@ from patience import wait
 from stopset.artifact.signature import new_key, sign
 from stopset.cli.main import commands, parser_of
 from stopset.monitor.layout import State
+from stopset.recording import read_recordings
 from test_can import recorded
 from test_docs import PAGES
 from test_hidden_effects import ARM
@@ -72,6 +74,7 @@ NOT_HERE = {  # line: reason, and the file or program whose absence is it
     "python benchmarks/as_found.py": (MINUTES, ""),
     "python benchmarks/diagnosis.py --healthy 24 --seed 901": (MINUTES, ""),
     "python benchmarks/diagnosis_speed.py": (MINUTES, ""),
+    "python benchmarks/found_outside.py": (MINUTES, ""),
     "python benchmarks/found_pairs.py": (MINUTES, ""),
     "python benchmarks/found_limits.py": (MINUTES, ""),
     "python benchmarks/healthy_again.py": (MINUTES, ""),
@@ -244,6 +247,17 @@ def log(place: Place, target: str) -> None:
             )
 
 
+def numbered(place: Place, target: str) -> None:
+    """A trial as another tool writes it: a table with numbered columns."""
+    place.take("run1.parquet")
+    r = read_recordings(place.folder / "run1.parquet").trials[0]
+    columns = {"time": r.t} | {
+        f"{kind}{k + 1}": x[:, k] for kind, x in (("q", r.q), ("dq", r.dq), ("tau", r.tau)) for k in range(3)
+    }
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(place.folder / target, rows, "%.9g", ",", header=",".join(columns), comments="")
+
+
 three = made("arm.model.json", "stopset identify --robot arm.urdf --data recordings.parquet --out arm.model.json")
 six = made("six.model.json", "stopset identify --robot lwa4p --data open_loop.parquet --out six.model.json")
 SIX_JOINTS = ("docs/how-to/risk-assessment.md",)  # it names six angles
@@ -265,6 +279,7 @@ FILES: dict[str, Callable[[Place, str], None]] = {
     "arm2.model.json": made(
         "arm2.model.json", "stopset add arm.model.json thermal_viscous:joint_2 --data other.parquet --out arm2.model.json"
     ),
+    "log.csv": numbered,
     "release": made("release", "stopset sign --new-key release"),
     "release.pub": lies("release.pub"),
     "arms": arms,

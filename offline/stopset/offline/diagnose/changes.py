@@ -109,6 +109,7 @@ def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]
         found = [c for c in found if not c.same_as(candidate) and not any(c is x for x in same)]
         if certain:
             rivals = [(c.only(here), since(c)) for c in alike if candidate.friction and c.joint == candidate.joint]
+            rivals = [(c, j) for c, j in rivals if c.possible(j.theta)]
             candidate, judged = _truer(candidate, judged, rivals)
             found = [c for c in found if not c.same_as(candidate)]
             if not candidate.enough(judged.theta):

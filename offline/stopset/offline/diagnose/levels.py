@@ -70,6 +70,12 @@ class LevelChange:
         torque = self.columns @ theta
         return float(np.linalg.norm(torque)) > self.amount * float(np.sqrt(np.count_nonzero(self.columns.any(axis=2))))
 
+    def possible(self, theta: Array) -> bool:
+        """Whether all numbers lie in their admissible ranges with coefficients ``theta`` (k,) more."""
+        ranges = {(x.effect, t.symbol): (t.lo, t.hi) for x in self.levels for t in get(x.effect).terms}
+        after = {(x.effect, x.symbol): x.before + x.per * float(theta[x.of]) for x in self.levels}
+        return all(lo <= after[k] <= hi for k, (lo, hi) in ranges.items() if k in after)
+
     def same_as(self, other: LevelChange) -> bool:
         """Whether both are a change of the same numbers at the same joint; an offset of one joint reads like that of any other."""
         return self.joint == other.joint and self.levels == other.levels
