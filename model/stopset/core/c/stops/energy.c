@@ -290,9 +290,9 @@ static const double weighed_with[TORQUES] = {0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.
 void stops_start_travels(const StopsetPlant *p, double y, Travels *out) {
     for (int c = 0; c < TORQUES; c++)
         for (int i = 0; i < p->arm.n; i++) {
-            const double torque = weighed_with[c] * (p->coulomb_lo[i] + p->brake_lo[i]);
+            const double torque = weighed_with[c] * (p->coulomb_lo[i] + p->brake_lo[i]) + 1e-9; /* any above 0 holds */
             out->torque[c][i] = torque;
-            out->hi[c][i] = out->lo[c][i] = torque > 0.0 ? 0.5 * y * y / torque * stopset_energy_rounding : STOPS_INF;
+            out->hi[c][i] = out->lo[c][i] = 0.5 * y * y / torque * stopset_energy_rounding;
         }
 }
 
@@ -317,7 +317,6 @@ void stops_travels_on(int n, const Span w[2], const Span *v, double h, Travels *
         for (int i = 0; i < n; i++) {
             const double torque = travels->torque[c][i];
             double on = 0.0, back = 0.0;
-            if (!(torque > 0.0)) continue;
             for (int k = 0; k < 2; k++) {
                 const double others = all[k] - own[k][i] + 1e-12 * scale[k]; /* for rounding */
                 on += 0.5 * most(others + power_with(w[k].lo[i], w[k].hi[i], v->lo[i], v->hi[i], torque), 0.0);
@@ -337,7 +336,7 @@ void stops_cut_travels(int n, double y, Travels *travels, double *d_lo, double *
         }
     for (int c = 0; c < TORQUES; c++)
         for (int i = 0; i < n; i++) {
-            const double torque = travels->torque[c][i], left = torque > 0.0 ? 0.5 * y * y / torque * stopset_energy_rounding : STOPS_INF;
+            const double torque = travels->torque[c][i], left = 0.5 * y * y / torque * stopset_energy_rounding;
             travels->hi[c][i] = least(travels->hi[c][i], d_hi[i] + left);
             travels->lo[c][i] = least(travels->lo[c][i], left - d_lo[i]);
         }
