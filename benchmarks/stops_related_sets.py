@@ -339,6 +339,8 @@ def main() -> int:
     parser.add_argument("--hand-overs", type=float, nargs="*", default=[], help="[ms]")
     args = parser.parse_args()
     escapes = 0
+    if not any(word in name for name in arms() for word in args.arms):
+        parser.error(f"no arm is called by {' or '.join(args.arms)}; expected words of names as in docs/stops.md")
     for name, (model, top) in arms().items():
         if not any(word in name for word in args.arms):
             continue

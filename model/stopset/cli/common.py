@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from stopset.errors import OutputError
 from stopset.files import writable, write_text
+from stopset.words import is_number
 
 if TYPE_CHECKING:
     from stopset.monitor.consumer import Expected
@@ -199,7 +200,7 @@ def path_rows(path: Path, n: int) -> Any:
     except (OSError, UnicodeDecodeError) as e:
         raise NotCovered(f"{path} cannot be read ({e}); expected a CSV file with {n} angles a row") from e
     try:
-        head = 0 if lines and all(_is_number(x) for x in lines[0]) else 1
+        head = 0 if lines and all(is_number(x) for x in lines[0]) else 1
         values = [[float(x) for x in r] for r in lines[head:]]
     except ValueError as e:
         raise NotCovered(
@@ -209,11 +210,3 @@ def path_rows(path: Path, n: int) -> Any:
     if wrong is not None:
         raise NotCovered(f"{path} holds a row of {len(wrong)} numbers; expected {n} angles [rad] a row: give one for every joint")
     return np.array(values).reshape(-1, n)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

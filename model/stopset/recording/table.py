@@ -11,15 +11,15 @@ import numpy as np
 
 from stopset.errors import RecordingError
 from stopset.recording.column_names import TableColumns, asked, by_name, in_blocks, words
+from stopset.recording.files import TICKS
+from stopset.recording.reader import PLAUSIBLE_ANGLE
 from stopset.recording.tabular import SUFFIXES, Tabular, header, open_table
 from stopset.recording.types import Meta, Recording
 from stopset.types import Array
 
 GAP = 5.5  # periods without a row that end a trial
 SHORTEST = 10  # rows
-TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
 FASTEST, SLOWEST = 1e-4, 0.1  # [s] between two rows of any recording of an arm
-TURNS = 8 * np.pi  # [rad] beyond which a number is in degrees
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def read_table(paths: Sequence[Path], stated: Stated, effort: str, suite: int) -
     degrees = stated.degrees or _says(columns.q, "deg")
     if degrees:
         q = np.radians(q)
-    elif np.nanmax(np.abs(q), initial=0.0) > TURNS:
+    elif np.nanmax(np.abs(q), initial=0.0) > PLAUSIBLE_ANGLE:
         raise RecordingError(
             f"{path}: {columns.q[0]} and others reach {np.nanmax(np.abs(q)):.4g}; expected rad: are they degrees? give --degrees"
         )

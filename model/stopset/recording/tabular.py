@@ -18,6 +18,7 @@ from stopset.errors import RecordingError
 from stopset.recording.csv_table import open_csv
 from stopset.types import Array
 from stopset.unpacked import Allowance, TooLargeError, check_zip
+from stopset.words import is_number
 
 TEXTS = frozenset({".csv", ".txt", ".tsv", ".dat"})
 SUFFIXES = TEXTS | {".parquet", ".npz", ".mat"}
@@ -55,7 +56,7 @@ def _text(path: Path) -> Tabular:
     remark, first = _begins(path)
     marks = re.findall(r"[,;\t]", first.strip())
     split = _fields(first)
-    if not _is_number(split[0]):
+    if not is_number(split[0]):
         names = tuple(split)
         if marks:
             return Tabular(path, names, len(names), lambda places: _separated(path, names, places))
@@ -80,14 +81,6 @@ def _begins(path: Path) -> tuple[str, str]:
 def _fields(line: str) -> list[str]:
     marks = re.findall(r"[,;\t]", line.strip())
     return [x.strip(' "') for x in line.strip().split(marks[0])] if marks else line.split()
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _separated(path: Path, names: Sequence[str], places: Sequence[int]) -> list[Array]:
