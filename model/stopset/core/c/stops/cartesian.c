@@ -63,11 +63,13 @@ static double longest(const double *start, const double *G, int stride, const do
     return sqrt(best);
 }
 
+/* A point whose displacements are asked for; or, in place of it, the origin of a joint before it, about which the point stays in a ball. */
 typedef struct {
     const StopsetArm *arm;
     const double *q, *q_radius, *point;
     int link;
     Point start;
+    double from[3], about; /* from that origin to the point at angles q, the ball's radius and what `from` may be off by; 0 of the point itself */
 } Asked;
 
 /* The point at the middle of a box, half the box's widths, and how far it is from every axis anywhere in it. */
@@ -76,53 +78,83 @@ typedef struct {
     double wide[SN], reach[SN];
 } Middle;
 
-/* Set of displacements (3, n + 1) for joints in [d_lo, d_hi], and on from there while sum_i of travel / left_i <= 1 (left 0: not at all): the
- * point moves by no more than max_i reach_i left_i. Returns the ball's radius. */
-static double displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Middle *middle, double *travel) {
+/* A set of displacements (3, n + 1): centre, generators, the ball's radius, and the longest of them. */
+typedef struct {
+    double travel[3 * (SN + 1)], ball, span;
+} Displaced;
+
+/* Displacements for joints in [d_lo, d_hi], and on from there while sum_i of travel / left_i <= 1 (left 0: not at all): the point moves by
+ * no more than max_i reach_i left_i. Kept in `shortest` where none so far is shorter. */
+static void displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Middle *middle, Displaced *shortest) {
     const int n = a->arm->n, m = n + 1;
     double *wide = middle->wide, *reach = middle->reach;
     Point *here = &middle->here;
-    double c[SN], r[SN], far[SN], at[SN], farther = 0.0;
+    double c[SN], r[SN], far[SN], at[SN], one[SN], farther = 0.0;
+    Displaced d = {{0}, 0, 0};
     for (int i = 0; i < n; i++) {
         c[i] = 0.5 * (d_lo[i] + d_hi[i]);
         r[i] = 0.5 * (d_hi[i] - d_lo[i]);
         wide[i] = r[i] + a->q_radius[i];
         far[i] = wide[i] + size_of(c[i]) + (left ? left[i] : 0.0); /* also on the way from q to q + c */
         at[i] = a->q[i] + c[i];
+        one[i] = 1.0;
     }
     locate(a->arm, at, a->link, a->point, here);
     reach_of(a->arm, here->distance, far, a->link, a->point, reach);
-    double ball = 0.5 * curved(reach, wide, wide, a->link) + 0.5 * curved(reach, a->q_radius, a->q_radius, a->link);
-    for (int x = 0; x < 3; x++) travel[x * m] = here->p[x] - a->start.p[x];
+    d.ball = 0.5 * curved(reach, wide, wide, a->link) + 0.5 * curved(reach, a->q_radius, a->q_radius, a->link);
+    for (int x = 0; x < 3; x++) d.travel[x * m] = here->p[x] - a->start.p[x] - a->from[x];
     for (int i = 0; i <= a->link; i++) {
         const double *J = here->J, *S = a->start.J, change[3] = {J[i] - S[i], J[n + i] - S[n + i], J[2 * n + i] - S[2 * n + i]};
-        ball += a->q_radius[i] * sqrt(dot(change, change));
-        for (int x = 0; x < 3; x++) travel[x * m + i + 1] = J[x * n + i] * r[i];
+        d.ball += a->q_radius[i] * sqrt(dot(change, change));
+        for (int x = 0; x < 3; x++) d.travel[x * m + i + 1] = J[x * n + i] * r[i];
         if (left) farther = most(farther, reach[i] * left[i]);
     }
-    return ball + farther * (1.0 + 1e-12);
+    d.ball += farther * (1.0 + 1e-12) + a->about;
+    const double from[3] = {d.travel[0], d.travel[m], d.travel[2 * m]};
+    d.span = longest(from, d.travel + 1, m, one, a->link) + d.ball;
+    if (d.span < shortest->span) *shortest = d;
 }
 
-static double span_of(const double *travel, int m, int link, double ball) {
-    double one[SN];
-    const double from[3] = {travel[0], travel[m], travel[2 * m]};
-    for (int i = 0; i <= link; i++) one[i] = 1.0;
-    return longest(from, travel + 1, m, one, link) + ball;
+/* The point itself in asked[0], the origins of the joints behind the first in those after it. Returns how many. */
+static int pivots(const StopsetArm *arm, const double *q, const double *q_radius, const StopsetPoint *point, Asked *asked) {
+    const int link = point->link;
+    double length = sqrt(dot(point->at, point->at)), off = 0.0;
+    for (int i = 0; i <= link; i++) off += q_radius[i];
+    for (int k = link; k >= 0; k--) { /* tip to base */
+        Asked *a = &asked[k];
+        *a = (Asked){.arm = arm, .q = q, .q_radius = q_radius, .point = k ? arm->p + 3 * k : point->at, .link = k ? k - 1 : link};
+        locate(arm, q, a->link, a->point, &a->start);
+        if (!k) continue;
+        a->about = length * (1.0 + off) * (1.0 + 1e-12);
+        length += sqrt(dot(a->point, a->point));
+    }
+    for (int k = 1; k <= link; k++)
+        for (int x = 0; x < 3; x++) asked[k].from[x] = asked[0].start.p[x] - asked[k].start.p[x];
+    return link + 1;
 }
 
 int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, const StopsetSlices *slices, const StopsetPoint *point,
                        const StopsetPointSets *out) {
     const int n = arm->n, m = n + 1, link = point->link;
-    double *travel = out->travel, *pace = out->pace, fast[SN], set[3 * (SN + 1)];
-    Asked a = {arm, q, q_radius, point->at, link, {{0}, {0}, {0}}};
+    double *travel = out->travel, *pace = out->pace, fast[SN];
+    Asked asked[SN];
     Middle middle, other;
+    Displaced before; /* what is left from any box that the joints were in before holds on */
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
-    locate(arm, q, link, point->at, &a.start);
-    memset(travel, 0, (size_t)(slices->count * 3 * m) * sizeof *travel);
+    const int count = pivots(arm, q, q_radius, point, asked);
+    before.span = STOPS_INF;
     memset(pace, 0, (size_t)(slices->count * 3 * m) * sizeof *pace);
     for (int64_t s = 0; s < slices->count; s++, travel += 3 * m, pace += 3 * m) {
         const int64_t at = s * n;
-        out->travel_ball[s] = displaced(&a, slices->d_lo + at, slices->d_hi + at, 0, &middle, travel);
+        const int braked = slices->left && slices->left[at] < STOPS_INF;
+        Displaced now;
+        now.span = STOPS_INF;
+        /* joints that go far bend the way that a slope tells too much for it to tell anything: there a ball about an origin before them does */
+        for (int k = 0; k < count; k++) {
+            if (asked[k].about < now.span) displaced(&asked[k], slices->d_lo + at, slices->d_hi + at, 0, k ? &other : &middle, &now);
+            if (braked && asked[k].about < before.span)
+                displaced(&asked[k], slices->near_lo + at, slices->near_hi + at, slices->left + at, &other, &before);
+        }
         for (int i = 0; i <= link; i++) {
             const double lo = slices->v_lo[at + i], hi = slices->v_hi[at + i], vc = 0.5 * (lo + hi), vr = 0.5 * (hi - lo);
             fast[i] = size_of(vc) + vr;
@@ -132,12 +164,9 @@ int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_r
             }
         }
         out->pace_ball[s] = curved(middle.reach, middle.wide, fast, link);
-        if (!slices->left || !(slices->left[at] < STOPS_INF)) continue;
-        memset(set, 0, sizeof set);
-        const double ball = displaced(&a, slices->near_lo + at, slices->near_hi + at, slices->left + at, &other, set);
-        if (!(span_of(set, m, link, ball) < span_of(travel, m, link, out->travel_ball[s]))) continue;
-        memcpy(travel, set, (size_t)(3 * m) * sizeof *travel);
-        out->travel_ball[s] = ball;
+        const Displaced *shortest = before.span < now.span ? &before : &now;
+        memcpy(travel, shortest->travel, (size_t)(3 * m) * sizeof *travel);
+        out->travel_ball[s] = shortest->ball;
     }
     return STOPSET_OK;
 }
@@ -213,11 +242,12 @@ int stopset_swept_capsules(const StopsetArm *arm, const double *q, const double 
     return STOPSET_OK;
 }
 
-/* The knot up to `last` from which what is left of the travel adds least, joints nearer to the base counted more; -1 if none knows. */
-static int64_t nearest(int n, int64_t last, const double *d_lo, const double *d_hi, const double *travel) {
+/* The knot from `first` to `last` from which what is left of the travel adds least, joints nearer to the base counted more; -1 if none
+ * knows. */
+static int64_t nearest(int n, int64_t first, int64_t last, const double *d_lo, const double *d_hi, const double *travel) {
     int64_t best = -1;
     double least_so_far = STOPS_INF;
-    for (int64_t k = 0; k <= last; k++) {
+    for (int64_t k = first; k <= last; k++) {
         double width = 0.0, farthest = 0.0;
         for (int i = 0; i < n; i++) {
             width += (n - i) * (d_hi[k * n + i] - d_lo[k * n + i]);
@@ -255,7 +285,7 @@ static void stretch(const StopsetTube *t, int n, int i, int64_t begin, int64_t e
 
 void stopset_slices(const StopsetTube *t, int64_t K, int n, double *work, StopsetSlices *out) {
     const int64_t count = out->count;
-    int64_t begin = 0;
+    int64_t begin = 0, first = 0;
     double *travel = work, hull[4];
     travel[0] = 0.0;
     out->border[0] = 0.0;
@@ -268,7 +298,7 @@ void stopset_slices(const StopsetTube *t, int64_t K, int n, double *work, Stopse
     for (int64_t s = 0; s < count && begin < K; s++) {
         int64_t end = begin + 1;
         while (end < K && (s == count - 1 || travel[end] < travel[K] * (double)(s + 1) / (double)count)) end++;
-        const int64_t from = nearest(n, begin, t->d_lo, t->d_hi, t->travel_left);
+        const int64_t from = nearest(n, first, begin, t->d_lo, t->d_hi, t->travel_left);
         for (int i = 0; i < n; i++) {
             const int64_t at = s * n + i;
             stretch(t, n, i, begin, end, hull);
@@ -282,6 +312,7 @@ void stopset_slices(const StopsetTube *t, int64_t K, int n, double *work, Stopse
         }
         out->count = s + 1;
         out->border[s + 1] = t->t[end];
+        first = begin + 1;
         begin = end;
     }
 }
