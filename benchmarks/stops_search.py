@@ -132,7 +132,7 @@ def one_state(s: Setting, q: Array, dq: Array, top: Array, stops: int, seed: int
     if tube.end != OK:
         return None
     at = Measured(q, dq, r, v)
-    far = point_motion(s.plant.chain, q, r, slices(tube, SLICES), n - 1, s.payload_com)[0]
+    far = point_motion(s.plant.chain, q, r, slices(tube, SLICES), n - 1, s.payload_com, s.swiftness)[0]
     random = sample_stops(s.plant, *at, s.payload_com, tube, DIRECTED, seed)
     bred = sample_stops(s.plant, *at, s.payload_com, tube, DIRECTED, seed, stops)
     columns = [tightness(tube, far, x, dq, top, FAST) for x in (random, bred)]

@@ -122,7 +122,7 @@ def one_state(name: str, case: Case, seen: dict[str, Any], box: bool) -> None:
         return
     seen["certified"] += 1
     seen["energy"] += int(tube.energetic)
-    tcp = point_motion(s.plant.chain, q, r, slices(tube, SLICES), n - 1, s.payload_com)[0]
+    tcp = point_motion(s.plant.chain, q, r, slices(tube, SLICES), n - 1, s.payload_com, s.swiftness)[0]
     stops = int(np.clip(PER_STATE * LASTS / tube.t[-1], AT_LEAST, PER_STATE))
     x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, stops - stops // 2, int(rng.integers(2**62)), stops // 2)
     seen["stops"] += x.stops

@@ -28,9 +28,11 @@ ANGLE_ERROR = 2e-6  # [rad]
 SPEED_ERROR = 1e-3  # [rad/s]
 
 
-def point_motion(chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array) -> tuple[float, float, Array]:
-    """How far [m] and how fast [m/s] one point of a link can get, and the box (3, 2) [m] of its displacements."""
-    (found,) = reached(chain, q, q_radius, parts, [link], [point])
+def point_motion(
+    chain: Chain, q: Array, q_radius: Array, parts: Slices, link: int, point: Array, swift: float = 0.0
+) -> tuple[float, float, Array]:
+    """How far [m] and how fast [m/s] one point of a link of this `swiftness` can get, and the box (3, 2) [m] of its displacements."""
+    (found,) = reached(chain, q, q_radius, parts, [link], [point], np.array([swift]))
     return found.far, found.fast, found.box
 
 

@@ -748,6 +748,7 @@ typedef struct {
     double *rates[4];                   /* (steps, n) each: forward lo, hi, backward lo, hi [rad/s^2] */
     double *margin;                     /* (n,) [N m] */
     double *travel_left;                /* (steps + 1, n) [rad]: from this knot on sum_i of joint i's travel / travel_left_i <= 1; or inf */
+    double *energy;                     /* (steps,) [(kg m^2)^1/2 rad/s] sqrt(v' M v) is no more on each step; or inf */
 } StopsetTube;
 
 /* Sum of angles [rad] from the pose of expansion after which a new one is worth its cost; outward factor of energies and widening
@@ -795,18 +796,22 @@ STOPSET_API int stopset_power_excess(int n, const StopsetRange *g, const Stopset
  * w[0] to w[1], with speeds v [rad/s] and momenta p [kg m^2/s], (n,) each. */
 STOPSET_API int stopset_energy_after(int n, double y, const StopsetRange *w, const StopsetRange *v, const StopsetRange *p, double h, double *out);
 /* A tube cut into stretches of about equal travel: what holds on each, (count, n) [rad, rad/s]; from [near_lo, near_hi] on no more than the
- * travel `left` [rad], as in a tube: these may be 0, not known. */
+ * travel `left` [rad], as in a tube: these may be 0, not known. [begin_lo, begin_hi] at its beginning; sqrt(v' M v) is no more than `energy`
+ * on it, and no more than `path` over the time since the cut until its end: inf where that is not known. */
 typedef struct {
     int64_t count;
     double *border;                    /* (count + 1,) [s] */
     double *d_lo, *d_hi, *v_lo, *v_hi;
     double *near_lo, *near_hi, *left;
+    double *begin_lo, *begin_hi;
+    double *energy, *path;             /* (count,) [(kg m^2)^1/2 rad/s], [(kg m^2)^1/2 rad] */
 } StopsetSlices;
 
-/* A point of a link, (3,) [m] in its frame. */
+/* A point of a link, (3,) [m] in its frame; no faster in any pose than `swiftness` [kg^-1/2] times sqrt(v' M v); 0: not known. */
 typedef struct {
     int32_t link;
     const double *at;
+    double swiftness;
 } StopsetPoint;
 
 /* On every slice, displacements and velocities (count, 3, n + 1) [m, m/s], centre first, with balls (count,). */
@@ -901,6 +906,7 @@ typedef struct {
     const double *tool;          /* (3,) [m] in the last link's frame */
     const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
     int32_t ranged;              /* what stopset_payloads says of the range that pi_half is of */
+    double swiftness;            /* [kg^-1/2] of the tool, see StopsetPoint; 0: not known */
 } StopsetStops;
 /* Payloads from lo to hi [kg]: one, some, which two parts of their range may bound more tightly, or so much alike that finer steps bound all more tightly. */
 enum { STOPSET_ONE_PAYLOAD, STOPSET_SOME_PAYLOADS, STOPSET_ALIKE_PAYLOADS };

@@ -11,6 +11,7 @@ from stopset.artifact import Model
 from stopset.core.library import lib
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, reached, slices, swept_capsules
+from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.compiled import ramp_torque
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
@@ -196,8 +197,9 @@ class StopBounds:
     def _tool_travel(self, tubes: list[Tube], start: Start) -> float:
         """[m] how far the tool gets."""
         assert self.setting is not None
-        chain, tool = self.model.robot.chain, self.setting.payload_com
-        return max(reached(chain, start.q, start.q_radius, slices(t, SLICES), [self.model.n - 1], [tool])[0].far for t in tubes)
+        at, tool, swift = [self.model.n - 1], [self.setting.payload_com], np.array([self.setting.swiftness])
+        chain = self.model.robot.chain
+        return max(reached(chain, start.q, start.q_radius, slices(t, SLICES), at, tool, swift)[0].far for t in tubes)
 
     def refused_for(self, category: Category, margin: Array, q: Array) -> StopBound:
         """No number, as brakes and dry friction do not surely hold the arm: their margins (n,) [N m] are at most 0."""
@@ -296,11 +298,13 @@ class StopBounds:
         robot, n = self.model.robot, self.model.n
         chain, tool = robot.chain, self.setting.payload_com
         ends = [chain.p[i + 1] if i + 1 < n else robot.tip for i in range(n)]
+        at, points = [*range(n), n - 1], [*ends, tool]
+        swift = np.array([swiftness(self.setting.plant, link, x) for link, x in zip(at, points, strict=True)])
         tcp, tcp_speed, box, links = 0.0, 0.0, np.zeros((3, 2)), np.zeros((n, 2))
         sets, swept = [], []
         for tube in tubes:
             cut = slices(tube, SLICES)
-            *out, tip = reached(chain, q, q_radius, cut, [*range(n), n - 1], [*ends, tool])
+            *out, tip = reached(chain, q, q_radius, cut, at, points, swift)
             tcp, tcp_speed = max(tcp, tip.far), max(tcp_speed, tip.fast)
             box[:, 0], box[:, 1] = np.minimum(box[:, 0], tip.box[:, 0]), np.maximum(box[:, 1], tip.box[:, 1])
             links = np.maximum(links, [x[:2] for x in out])

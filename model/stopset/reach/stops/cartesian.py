@@ -30,6 +30,8 @@ class Slices(NamedTuple):
 
     ``near_lo, near_hi, left`` (S, n), where known: the joints were in this box before, and all they have gone since, each divided by
     ``left`` [rad], adds up to 1 at most (what the brakes take is torque times way).
+    ``begin_lo, begin_hi`` (S, n), ``energy, path`` (S,), where known: the box at its beginning; what sqrt(v' M v) is at most on it, and its
+    integral from the cut to its end.
     """
 
     t: Array
@@ -40,17 +42,21 @@ class Slices(NamedTuple):
     near_lo: Array | None = None
     near_hi: Array | None = None
     left: Array | None = None
+    begin_lo: Array | None = None
+    begin_hi: Array | None = None
+    energy: Array | None = None
+    path: Array | None = None
 
 
 def slices(tube: Tube, count: int) -> Slices:
     """Cut a tube into at most ``count`` stretches of about equal travel of its middle."""
     K, n = len(tube.t) - 1, tube.d_lo.shape[1]
-    held = {name: given(getattr(tube, name)) for name in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi", "travel_left")}
-    border, work, out = np.zeros(count + 1), np.empty(K + 1), np.zeros((7, count, n))
+    held = {name: given(getattr(tube, name)) for name in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi", "travel_left", "energy")}
+    border, work, out, whole = np.zeros(count + 1), np.empty(K + 1), np.zeros((9, count, n)), np.zeros((2, count))
     lines = ffi.new("StopsetTube *", {name: view(x) for name, x in held.items()})
-    cut = ffi.new("StopsetSlices *", (count, view(border), *(view(x) for x in out)))
+    cut = ffi.new("StopsetSlices *", (count, view(border), *(view(x) for x in (*out, *whole))))
     lib.stopset_slices(lines, K, n, view(work), cut)
-    return Slices(border[: cut.count + 1], *out[:, : cut.count])
+    return Slices(border[: cut.count + 1], *out[:, : cut.count], *whole[:, : cut.count])
 
 
 def slices_struct(parts: Slices) -> tuple[Any, list[Array | None]]:
@@ -77,9 +83,10 @@ class Reached(NamedTuple):
 
 
 def reached(
-    chain: Chain, q: Array, q_radius: Array, parts: Slices, links: Sequence[int], points: Sequence[Array]
+    chain: Chain, q: Array, q_radius: Array, parts: Slices, links: Sequence[int], points: Sequence[Array], swift: Array | None = None
 ) -> list[Reached]:
-    """Where points of links get, each ``points[k]`` (3,) [m] in the frame of ``links[k]``; ``q +- q_radius``: the angles at the cut.
+    """Where points of links get, each ``points[k]`` (3,) [m] in the frame of ``links[k]``; ``q +- q_radius``: the angles at the cut;
+    ``swift`` (k,) [kg^-1/2] their `swiftness`, where known.
 
     However far joints turn, no point leaves the ball about the first one that the arm reaches.
     """
@@ -96,7 +103,7 @@ def reached(
     out, size = [], S * 3 * (n + 1)
     for k, link in enumerate(links):
         own = ffi.new("StopsetPointSets *", (s + 2 * k * size, b + 2 * k * S, s + (2 * k + 1) * size, b + (2 * k + 1) * S))
-        point = ffi.new("StopsetPoint *", (link, x + 3 * k))
+        point = ffi.new("StopsetPoint *", (link, x + 3 * k, 0.0 if swift is None else swift[k]))
         check(lib.stopset_point_sets(arm, *pose, cut, point, own))
         lib.stopset_point_motion(arm, point, S, own, most, most + 1, hull + 6 * k)
         out.append(Reached(most[0], most[1], boxes[k], sets[k, 0], balls[k, 0], sets[k, 1], balls[k, 1]))

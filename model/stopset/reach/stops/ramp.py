@@ -181,6 +181,7 @@ def ramp_tube(ramp: Ramp, v_lo: Array, v_hi: Array) -> Tube:
     return Tube(
         0, t, d_lo, d_hi, w_lo, w_hi, np.minimum(w_lo[:-1], w_lo[1:]), np.maximum(w_hi[:-1], w_hi[1:]),
         nothing, nothing, nothing, nothing, np.full(n, np.nan), energetic=False, travel_left=np.full((len(t), n), np.inf),
+        energy=np.full(len(t) - 1, np.inf),
     )  # fmt: skip
 
 

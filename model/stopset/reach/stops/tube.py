@@ -96,6 +96,7 @@ class Tube(NamedTuple):
     margin: Array  # (n,) brake and Coulomb torque left when holding the arm where it ends [N m]
     energetic: bool  # whether the kinetic energy had to help
     travel_left: Array  # (K + 1, n) [rad]: from this knot on, sum over joints of travel / this <= 1; inf where that is not known
+    energy: Array  # (K,) [(kg m^2)^1/2 rad/s]: sqrt(v' M v) is no more on each step; inf where that is not known
 
 
 def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
@@ -143,9 +144,9 @@ def march(plant: Plant, q: Box, dq: Box, steps: Stride, parts: Parts, *, energet
     struct, _held = plant_struct(plant)
     count = steps.most
     t, knots, ends = np.empty(count + 1), np.empty((5, count + 1, n)), np.empty((2, count, n))
-    rates, margin = np.empty((4, count, n)), np.empty(n)
+    rates, margin, energy = np.empty((4, count, n)), np.empty(n), np.empty(count)
     lines = [view(x) for x in (t, *knots[:4], *ends)]
-    tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin), view(knots[4])))
+    tube = ffi.new("StopsetTube *", (*lines, [view(x) for x in rates], view(margin), view(knots[4]), view(energy)))
     states = ffi.new("StopsetBox *", (ffi.NULL, *(view(x) for x in box)))
     stride = ffi.new("StopsetStride *", (steps.h, steps.brief, count, int(energetic)))
     end = lib.stopset_stop_tube(struct, states, stride, ffi.new("StopsetParts *", tuple(parts)), tube, made)
@@ -153,4 +154,4 @@ def march(plant: Plant, q: Box, dq: Box, steps: Stride, parts: Parts, *, energet
     m = made[0]
     d_lo, d_hi, v_lo, v_hi, travel_left = knots[:, : m + 1]
     e_lo, e_hi = ends[:, :m]
-    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, travel_left)  # type: ignore[call-arg]
+    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, travel_left, energy[:m])  # type: ignore[call-arg]

@@ -16,7 +16,7 @@ enum { LONG = KNOTS * PATIENCE + CLOSING, LONG_ENERGY = ALIKE_KNOTS * MORE_PATIE
 static const double BLURRED = 0.5, HAIR = 1e-9; /* [rad/s] by which a band is wider than the fastest joint was; [rad] of a way, at least */
 static const double WIDTH = 5e-3, TINY = 1e-12; /* [s] of a window, at least; by which an interval is not empty for rounding alone, or wider than it */
 
-int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + SLICES * (7 * n + 6 * n + 8) + 1; }
+int64_t stopset_stop_room(int n) { return (STEPS + 1) * (1 + 4 * n) + STEPS * 6 * n + n + (STEPS + 1) * (1 + n) + STEPS + SLICES * (9 * n + 6 * n + 10) + 1; }
 
 /* The next `count` numbers of the work space. */
 static double *take(double **room, int64_t count) {
@@ -213,12 +213,14 @@ double stops_rests_after(const StopAsk *a, int i) {
 static void tool_motion(const StopAsk *a, const double *q, const double *q_radius, double *far, double *fast) {
     const StopsetArm *arm = &a->stops->plant.arm;
     const int n = arm->n, m = 3 * (n + 1);
-    const StopsetPoint tool = {n - 1, a->stops->tool};
+    const StopsetPoint tool = {n - 1, a->stops->tool, a->stops->swiftness};
     double *room = a->cut, border[SLICES + 1], box[6];
     StopsetSlices cut = {.count = SLICES, .border = border};
     StopsetPointSets sets;
-    double **const lines[] = {&cut.d_lo, &cut.d_hi, &cut.v_lo, &cut.v_hi, &cut.near_lo, &cut.near_hi, &cut.left};
-    for (int k = 0; k < 7; k++) *lines[k] = take(&room, SLICES * n);
+    double **const lines[] = {&cut.d_lo, &cut.d_hi, &cut.v_lo, &cut.v_hi, &cut.near_lo, &cut.near_hi, &cut.left, &cut.begin_lo, &cut.begin_hi};
+    for (int k = 0; k < 9; k++) *lines[k] = take(&room, SLICES * n);
+    cut.energy = take(&room, SLICES);
+    cut.path = take(&room, SLICES);
     sets.travel = take(&room, SLICES * m);
     sets.pace = take(&room, SLICES * m);
     sets.travel_ball = take(&room, SLICES);
@@ -256,6 +258,7 @@ void stops_begin(StopAsk *a, double *work, const StopsetBound *out) {
     for (int k = 0; k < 4; k++) a->tube.rates[k] = take(&room, lines);
     a->tube.margin = take(&room, n);
     a->tube.travel_left = take(&room, knots);
+    a->tube.energy = take(&room, STEPS);
     a->lines = take(&room, STEPS + 1);
     a->cut = room;
     for (int i = 0; i < n; i++) out->time[i] = out->forward[i] = out->back[i] = out->speed[i] = 0.0;

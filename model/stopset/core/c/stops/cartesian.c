@@ -5,6 +5,9 @@
  *     p(q0 + d) - p(q0)  in  p(q + c) - p(q) + J(q + c) [-r, r] + ball(curved part),
  * and the largest length over the box of the linear part sits at a corner.
  *
+ * No body has more energy than the arm: a point is no faster than its swiftness times sqrt(v' M v), which adds up to its way (Lemma 14 of
+ * docs/stops.md).
+ *
  * Source: Featherstone (2008) for the frames; stopset.reach.stops.cartesian.
  */
 #include <math.h>
@@ -83,13 +86,20 @@ typedef struct {
     double travel[3 * (SN + 1)], ball, span;
 } Displaced;
 
+static double span_of(const double *travel, int m, int link, double ball) {
+    double one[SN];
+    const double from[3] = {travel[0], travel[m], travel[2 * m]};
+    for (int i = 0; i <= link; i++) one[i] = 1.0;
+    return longest(from, travel + 1, m, one, link) + ball;
+}
+
 /* Displacements for joints in [d_lo, d_hi], and on from there while sum_i of travel / left_i <= 1 (left 0: not at all): the point moves by
- * no more than max_i reach_i left_i. Kept in `shortest` where none so far is shorter. */
-static void displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, Middle *middle, Displaced *shortest) {
+ * no more than max_i reach_i left_i. Kept in `shortest` where none so far is, `gone` [m] less. */
+static void displaced(const Asked *a, const double *d_lo, const double *d_hi, const double *left, double gone, Middle *middle, Displaced *shortest) {
     const int n = a->arm->n, m = n + 1;
     double *wide = middle->wide, *reach = middle->reach;
     Point *here = &middle->here;
-    double c[SN], r[SN], far[SN], at[SN], one[SN], farther = 0.0;
+    double c[SN], r[SN], far[SN], at[SN], farther = 0.0;
     Displaced d = {{0}, 0, 0};
     for (int i = 0; i < n; i++) {
         c[i] = 0.5 * (d_lo[i] + d_hi[i]);
@@ -97,7 +107,6 @@ static void displaced(const Asked *a, const double *d_lo, const double *d_hi, co
         wide[i] = r[i] + a->q_radius[i];
         far[i] = wide[i] + size_of(c[i]) + (left ? left[i] : 0.0); /* also on the way from q to q + c */
         at[i] = a->q[i] + c[i];
-        one[i] = 1.0;
     }
     locate(a->arm, at, a->link, a->point, here);
     reach_of(a->arm, here->distance, far, a->link, a->point, reach);
@@ -109,9 +118,8 @@ static void displaced(const Asked *a, const double *d_lo, const double *d_hi, co
         for (int x = 0; x < 3; x++) d.travel[x * m + i + 1] = J[x * n + i] * r[i];
         if (left) farther = most(farther, reach[i] * left[i]);
     }
-    d.ball += farther * (1.0 + 1e-12) + a->about;
-    const double from[3] = {d.travel[0], d.travel[m], d.travel[2 * m]};
-    d.span = longest(from, d.travel + 1, m, one, a->link) + d.ball;
+    d.ball += farther * (1.0 + 1e-12) + a->about - gone;
+    d.span = span_of(d.travel, m, a->link, d.ball);
     if (d.span < shortest->span) *shortest = d;
 }
 
@@ -139,21 +147,24 @@ int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_r
     double *travel = out->travel, *pace = out->pace, fast[SN];
     Asked asked[SN];
     Middle middle, other;
-    Displaced before; /* what is left from any box that the joints were in before holds on */
+    Displaced before, flown; /* what is left from a box that the joints were in before holds on; how far the energy takes it from one */
     if (n < 1 || n > SN) return STOPSET_TOO_MANY_JOINTS;
     const int count = pivots(arm, q, q_radius, point, asked);
-    before.span = STOPS_INF;
+    before.span = flown.span = STOPS_INF;
     memset(pace, 0, (size_t)(slices->count * 3 * m) * sizeof *pace);
     for (int64_t s = 0; s < slices->count; s++, travel += 3 * m, pace += 3 * m) {
         const int64_t at = s * n;
-        const int braked = slices->left && slices->left[at] < STOPS_INF;
+        const int braked = slices->left && slices->left[at] < STOPS_INF, paid = point->swiftness > 0.0 && slices->path && slices->path[s] < STOPS_INF;
+        const double gone = paid && s ? point->swiftness * slices->path[s - 1] : 0.0;
         Displaced now;
         now.span = STOPS_INF;
         /* joints that go far bend the way that a slope tells too much for it to tell anything: there a ball about an origin before them does */
         for (int k = 0; k < count; k++) {
-            if (asked[k].about < now.span) displaced(&asked[k], slices->d_lo + at, slices->d_hi + at, 0, k ? &other : &middle, &now);
+            if (asked[k].about < now.span) displaced(&asked[k], slices->d_lo + at, slices->d_hi + at, 0, 0.0, k ? &other : &middle, &now);
             if (braked && asked[k].about < before.span)
-                displaced(&asked[k], slices->near_lo + at, slices->near_hi + at, slices->left + at, &other, &before);
+                displaced(&asked[k], slices->near_lo + at, slices->near_hi + at, slices->left + at, 0.0, &other, &before);
+            if (paid && asked[k].about - gone < flown.span)
+                displaced(&asked[k], slices->begin_lo + at, slices->begin_hi + at, 0, gone, &other, &flown);
         }
         for (int i = 0; i <= link; i++) {
             const double lo = slices->v_lo[at + i], hi = slices->v_hi[at + i], vc = 0.5 * (lo + hi), vr = 0.5 * (hi - lo);
@@ -164,9 +175,20 @@ int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_r
             }
         }
         out->pace_ball[s] = curved(middle.reach, middle.wide, fast, link);
-        const Displaced *shortest = before.span < now.span ? &before : &now;
-        memcpy(travel, shortest->travel, (size_t)(3 * m) * sizeof *travel);
-        out->travel_ball[s] = shortest->ball;
+        if (before.span < now.span) now = before;
+        if (paid) {
+            const double way = point->swiftness * slices->path[s] * (1.0 + 1e-12), speed = point->swiftness * slices->energy[s];
+            if (flown.span + way < now.span) {
+                now = flown;
+                now.ball += way;
+            }
+            if (speed < span_of(pace, m, link, out->pace_ball[s])) {
+                memset(pace, 0, (size_t)(3 * m) * sizeof *pace);
+                out->pace_ball[s] = speed;
+            }
+        }
+        memcpy(travel, now.travel, (size_t)(3 * m) * sizeof *travel);
+        out->travel_ball[s] = now.ball;
     }
     return STOPSET_OK;
 }
@@ -175,15 +197,13 @@ void stopset_point_motion(const StopsetArm *arm, const StopsetPoint *point, int6
                           double *fast, double *box) {
     const int m = arm->n + 1, link = point->link;
     const double *travel = sets->travel, *travel_ball = sets->travel_ball, *pace = sets->pace, *pace_ball = sets->pace_ball;
-    double reach = sqrt(dot(point->at, point->at)), one[SN];
+    double reach = sqrt(dot(point->at, point->at));
     *far = *fast = 0.0;
     memset(box, 0, 6 * sizeof *box);
     for (int i = 1; i <= link; i++) reach += sqrt(dot(arm->p + 3 * i, arm->p + 3 * i));
-    for (int i = 0; i <= link; i++) one[i] = 1.0;
     for (int64_t s = 0; s < count; s++, travel += 3 * m, pace += 3 * m) {
-        const double from[3] = {travel[0], travel[m], travel[2 * m]}, going[3] = {pace[0], pace[m], pace[2 * m]};
-        *far = most(*far, longest(from, travel + 1, m, one, link) + travel_ball[s]);
-        *fast = most(*fast, longest(going, pace + 1, m, one, link) + pace_ball[s]);
+        *far = most(*far, span_of(travel, m, link, travel_ball[s]));
+        *fast = most(*fast, span_of(pace, m, link, pace_ball[s]));
         for (int x = 0; x < 3; x++) {
             double half = travel_ball[s];
             for (int i = 0; i <= link; i++) half += size_of(travel[x * m + i + 1]);
@@ -286,7 +306,7 @@ static void stretch(const StopsetTube *t, int n, int i, int64_t begin, int64_t e
 void stopset_slices(const StopsetTube *t, int64_t K, int n, double *work, StopsetSlices *out) {
     const int64_t count = out->count;
     int64_t begin = 0, first = 0;
-    double *travel = work, hull[4];
+    double *travel = work, path = 0.0, hull[4];
     travel[0] = 0.0;
     out->border[0] = 0.0;
     out->count = 0;
@@ -298,6 +318,12 @@ void stopset_slices(const StopsetTube *t, int64_t K, int n, double *work, Stopse
     for (int64_t s = 0; s < count && begin < K; s++) {
         int64_t end = begin + 1;
         while (end < K && (s == count - 1 || travel[end] < travel[K] * (double)(s + 1) / (double)count)) end++;
+        out->energy[s] = 0.0;
+        for (int64_t k = begin; k < end; k++) {
+            path += t->energy[k] * (t->t[k + 1] - t->t[k]);
+            out->energy[s] = most(out->energy[s], t->energy[k]);
+        }
+        out->path[s] = path * (1.0 + 1e-12);
         const int64_t from = nearest(n, first, begin, t->d_lo, t->d_hi, t->travel_left);
         for (int i = 0; i < n; i++) {
             const int64_t at = s * n + i;
@@ -308,6 +334,8 @@ void stopset_slices(const StopsetTube *t, int64_t K, int n, double *work, Stopse
             out->v_hi[at] = hull[3];
             out->near_lo[at] = from < 0 ? 0.0 : t->d_lo[from * n + i];
             out->near_hi[at] = from < 0 ? 0.0 : t->d_hi[from * n + i];
+            out->begin_lo[at] = t->d_lo[begin * n + i];
+            out->begin_hi[at] = t->d_hi[begin * n + i];
             out->left[at] = from < 0 ? STOPS_INF : t->travel_left[from * n + i];
         }
         out->count = s + 1;

@@ -108,6 +108,7 @@ static void ramp_tube(StopAsk *a, const StopsetRamp *r, double fastest[SN]) {
             fastest[i] = most(fastest[i], most(size_of(tube->v_lo[at]), size_of(tube->v_hi[at])));
         }
         for (int64_t k = 0; k < a->made; k++) {
+            tube->energy[k] = STOPS_INF; /* nor does anything take from its energy */
             tube->e_lo[k * n + i] = least(tube->v_lo[k * n + i], tube->v_lo[(k + 1) * n + i]);
             tube->e_hi[k * n + i] = most(tube->v_hi[k * n + i], tube->v_hi[(k + 1) * n + i]);
         }

@@ -523,6 +523,7 @@ static int march(const StopsetPlant *plant, const StopsetBox *box, const Stopset
         *made = k;
         m.s.h = step_from(now, closing, engaged, stride->h, stride->brief);
         if (!prepare(&m, k, now, middle, gravity)) return UNBOUNDED;
+        tube->energy[k] = energetic ? most(y, m.energy.y) : STOPS_INF;
         guess_claims(&m, k);
         const int verified = take_step(&m, k, now);
         if (!verified && !energetic) return UNBOUNDED;
