@@ -55,7 +55,9 @@ def one_state(name: str, case: Case, state: int) -> Compared | None:
         return None
 
     def tool(tubes: list[Tube]) -> float:
-        return max(point_motion(s.plant.chain, q, start.q_radius, slices(t, SLICES), n - 1, s.payload_com, s.swiftness)[0] for t in tubes)
+        return max(
+            point_motion(s.plant.chain, q, start.q_radius, slices(t, SLICES), n - 1, s.payload_com, s.swiftness)[0] for t in tubes
+        )
 
     x = sample_stops(s.plant, q, dq, start.q_radius, start.dq_radius, s.payload_com, tube, STOPS // 2, state, STOPS // 2)
     worst, fast = np.maximum(np.maximum(x.forward, x.back), 1e-9), np.abs(dq) > SHARE * case.top

@@ -906,7 +906,7 @@ typedef struct {
     const double *tool;          /* (3,) [m] in the last link's frame */
     const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
     int32_t ranged;              /* what stopset_payloads says of the range that pi_half is of */
-    double swiftness;            /* [kg^-1/2] of the tool, see StopsetPoint; 0: not known */
+    double swiftness[3];         /* [kg^-1/2] of the tool, see StopsetPoint: over the range, and over its heavier and its lighter part; 0: not known */
 } StopsetStops;
 /* Payloads from lo to hi [kg]: one, some, which two parts of their range may bound more tightly, or so much alike that finer steps bound all more tightly. */
 enum { STOPSET_ONE_PAYLOAD, STOPSET_SOME_PAYLOADS, STOPSET_ALIKE_PAYLOADS };

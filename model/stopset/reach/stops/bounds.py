@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from stopset.artifact import Model
 from stopset.core.library import lib
 from stopset.errors import NotCovered
-from stopset.reach.stops.cartesian import SLICES, reached, slices, swept_capsules
+from stopset.reach.stops.cartesian import SLICES, Reached, reached, slices, swept_capsules
 from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.compiled import ramp_torque
 from stopset.reach.stops.directed import PointSets
@@ -197,9 +197,12 @@ class StopBounds:
     def _tool_travel(self, tubes: list[Tube], start: Start) -> float:
         """[m] how far the tool gets."""
         assert self.setting is not None
-        at, tool, swift = [self.model.n - 1], [self.setting.payload_com], np.array([self.setting.swiftness])
-        chain = self.model.robot.chain
-        return max(reached(chain, start.q, start.q_radius, slices(t, SLICES), at, tool, swift)[0].far for t in tubes)
+        return max(self._reached(t, start, [self.model.n - 1], [self.setting.payload_com])[0].far for t in tubes)
+
+    def _reached(self, tube: Tube, start: Start, links: list[int], points: list[Array]) -> list[Reached]:
+        """Where points of links get in one tube."""
+        swift = None if tube.plant is None else np.array([swiftness(tube.plant, *x) for x in zip(links, points, strict=True)])
+        return reached(self.model.robot.chain, start.q, start.q_radius, slices(tube, SLICES), links, points, swift)
 
     def refused_for(self, category: Category, margin: Array, q: Array) -> StopBound:
         """No number, as brakes and dry friction do not surely hold the arm: their margins (n,) [N m] are at most 0."""
@@ -299,12 +302,10 @@ class StopBounds:
         chain, tool = robot.chain, self.setting.payload_com
         ends = [chain.p[i + 1] if i + 1 < n else robot.tip for i in range(n)]
         at, points = [*range(n), n - 1], [*ends, tool]
-        swift = np.array([swiftness(self.setting.plant, link, x) for link, x in zip(at, points, strict=True)])
         tcp, tcp_speed, box, links = 0.0, 0.0, np.zeros((3, 2)), np.zeros((n, 2))
         sets, swept = [], []
         for tube in tubes:
-            cut = slices(tube, SLICES)
-            *out, tip = reached(chain, q, q_radius, cut, at, points, swift)
+            *out, tip = self._reached(tube, start, at, points)
             tcp, tcp_speed = max(tcp, tip.far), max(tcp_speed, tip.fast)
             box[:, 0], box[:, 1] = np.minimum(box[:, 0], tip.box[:, 0]), np.maximum(box[:, 1], tip.box[:, 1])
             links = np.maximum(links, [x[:2] for x in out])

@@ -51,7 +51,10 @@ class Slices(NamedTuple):
 def slices(tube: Tube, count: int) -> Slices:
     """Cut a tube into at most ``count`` stretches of about equal travel of its middle."""
     K, n = len(tube.t) - 1, tube.d_lo.shape[1]
-    held = {name: given(getattr(tube, name)) for name in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi", "travel_left", "energy")}
+    held = {
+        name: given(getattr(tube, name))
+        for name in ("t", "d_lo", "d_hi", "v_lo", "v_hi", "e_lo", "e_hi", "travel_left", "energy")
+    }
     border, work, out, whole = np.zeros(count + 1), np.empty(K + 1), np.zeros((9, count, n)), np.zeros((2, count))
     lines = ffi.new("StopsetTube *", {name: view(x) for name, x in held.items()})
     cut = ffi.new("StopsetSlices *", (count, view(border), *(view(x) for x in (*out, *whole))))
@@ -83,7 +86,13 @@ class Reached(NamedTuple):
 
 
 def reached(
-    chain: Chain, q: Array, q_radius: Array, parts: Slices, links: Sequence[int], points: Sequence[Array], swift: Array | None = None
+    chain: Chain,
+    q: Array,
+    q_radius: Array,
+    parts: Slices,
+    links: Sequence[int],
+    points: Sequence[Array],
+    swift: Array | None = None,
 ) -> list[Reached]:
     """Where points of links get, each ``points[k]`` (3,) [m] in the frame of ``links[k]``; ``q +- q_radius``: the angles at the cut;
     ``swift`` (k,) [kg^-1/2] their `swiftness`, where known.

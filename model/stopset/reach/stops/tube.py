@@ -97,6 +97,7 @@ class Tube(NamedTuple):
     energetic: bool  # whether the kinetic energy had to help
     travel_left: Array  # (K + 1, n) [rad]: from this knot on, sum over joints of travel / this <= 1; inf where that is not known
     energy: Array  # (K,) [(kg m^2)^1/2 rad/s]: sqrt(v' M v) is no more on each step; inf where that is not known
+    plant: Plant | None = None  # whose stops these are, if they are of one that brakes
 
 
 def plant_struct(plant: Plant) -> tuple[Any, list[Any]]:
@@ -154,4 +155,6 @@ def march(plant: Plant, q: Box, dq: Box, steps: Stride, parts: Parts, *, energet
     m = made[0]
     d_lo, d_hi, v_lo, v_hi, travel_left = knots[:, : m + 1]
     e_lo, e_hi = ends[:, :m]
-    return Tube(end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, travel_left, energy[:m])  # type: ignore[call-arg]
+    return Tube(
+        end, t[: m + 1], d_lo, d_hi, v_lo, v_hi, e_lo, e_hi, *rates[:, :m], margin, energetic, travel_left, energy[:m], plant
+    )  # type: ignore[call-arg]
