@@ -13,11 +13,13 @@ from stop_sampling import DT, Measured, draws, point_motion
 from stopset.errors import NotCovered
 from stopset.reach.stops import StopBound, StopBounds
 from stopset.reach.stops.cartesian import Slices
+from stopset.reach.stops.swiftness import swiftness
 from stopset.robot.rigid import link_frames
 from stopset.simulation.stop import simulate_stops
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from stop_arms import prbt_like
+from stop_arms_wide import arms
 
 BOUNDS = StopBounds.of(prbt_like(), (0.0, 0.25))
 PLACES = np.array([[0.5, 0.2, 0.3], [0.0, 0.0, 1.2], [-2.0, 1.0, 0.0]])
@@ -28,17 +30,17 @@ def states() -> list[tuple[np.ndarray, np.ndarray]]:
     return [(rng.uniform(-2.3, 2.3, 6), rng.uniform(-1.26, 1.26, 6)) for _ in range(3)]
 
 
-def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[str]:
+def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int, bounds: StopBounds = BOUNDS) -> set[str]:
     """Which statements about space some simulated stop contradicts."""
-    s = BOUNDS.setting
+    s, n = bounds.setting, len(q)
     assert s is not None and bound.motion is not None and bound.capsules is not None
-    chain, robot, found = s.plant.chain, BOUNDS.model.robot, set()
+    chain, robot, found = s.plant.chain, bounds.model.robot, set()
     directions = np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(1).normal(size=(4, 3))])
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     fast = np.array([bound.directed_speed(d) for d in directions])
     far = np.array([bound.directed_distance(d) for d in directions])
     closing = np.array([bound.speed_towards(x) for x in PLACES])
-    at = Measured(q, dq, s.noise.radius[:6], s.noise.radius[6:])
+    at = Measured(q, dq, s.noise.radius[:n], s.noise.radius[n:])
     drawn = draws(s.plant, at, np.arange(stops) % 5, np.random.default_rng(2))
     moved = simulate_stops(drawn.arms, drawn.q0, drawn.v0, DT, int(bound.time.max() / DT) + 1, drawn.u)
     for q0, qs, vs in zip(drawn.q0, *moved, strict=True):
@@ -48,7 +50,7 @@ def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[
             R, o = link_frames(chain, qk)
             ends = np.array([*o[1:], o[-1] + R[-1] @ robot.tip])
             tip = o[-1] + R[-1] @ s.payload_com
-            speed = sum(np.cross(R[i] @ chain.axis[i], tip - o[i]) * vk[i] for i in range(6))
+            speed = sum(np.cross(R[i] @ chain.axis[i], tip - o[i]) * vk[i] for i in range(n))
             travel = tip - (o0[-1] + R0[-1] @ s.payload_com)
             toward = PLACES - tip
             checks = {
@@ -59,7 +61,7 @@ def outside(bound: StopBound, q: np.ndarray, dq: np.ndarray, stops: int) -> set[
                 "directed distance": np.all(directions @ travel <= far + 1e-6),
                 "towards": np.all(toward @ speed / np.linalg.norm(toward, axis=1) <= closing + 1e-3),
                 "links": np.all(np.linalg.norm(ends - ends0, axis=1) <= bound.links + 1e-6),
-                "capsules": all(_inside(o[i], ends[i], bound.capsules[:, i]) for i in range(6)),
+                "capsules": all(_inside(o[i], ends[i], bound.capsules[:, i]) for i in range(n)),
             }
             found |= {name for name, good in checks.items() if not good}
     return found
@@ -81,6 +83,29 @@ def _inside(a: np.ndarray, b: np.ndarray, capsules: np.ndarray) -> bool:
 def test_every_simulated_stop_stays_in_its_space() -> None:
     for q, dq in states():
         assert outside(BOUNDS.bound(q, dq), q, dq, 10) == set()
+
+
+def light(k: int) -> tuple[StopBounds, np.ndarray, np.ndarray]:
+    """A heavy load on light wrists, whose speeds the energy hardly bounds; a state of it."""
+    model, top = arms()["random arm of 7 joints, 1"]
+    rated, rng = model.domain.payload[1], np.random.default_rng(60 + k)
+    return StopBounds.of(model, (rated, rated)), rng.uniform(-np.pi, np.pi, 7), rng.uniform(-1.0, 1.0, 7) * top
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_every_stop_of_light_wrists_stays_in_its_space(k: int) -> None:
+    bounds, q, dq = light(k)
+    bound = bounds.bound(q, dq)
+    assert bound.layer == "energy" and outside(bound, q, dq, 10, bounds) == set()
+
+
+def test_a_body_told_slower_than_its_mass_makes_it_is_contradicted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stopset.reach.stops.bounds.swiftness", lambda *x: 0.1 * swiftness(*x))
+    found = set[str]()
+    for k in range(3):
+        bounds, q, dq = light(k)
+        found |= outside(bounds.bound(q, dq), q, dq, 10, bounds)
+    assert found >= {"tcp", "tcp speed", "directed speed", "directed distance", "towards", "links"}
 
 
 def test_statements_made_too_small_are_contradicted() -> None:

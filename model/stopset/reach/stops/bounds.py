@@ -11,7 +11,6 @@ from stopset.artifact import Model
 from stopset.core.library import lib
 from stopset.errors import NotCovered
 from stopset.reach.stops.cartesian import SLICES, Reached, reached, slices, swept_capsules
-from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.compiled import ramp_torque
 from stopset.reach.stops.directed import PointSets
 from stopset.reach.stops.expansion import expand
@@ -20,6 +19,7 @@ from stopset.reach.stops.friction import ROUNDING
 from stopset.reach.stops.ramp import Ramp, drive_limit, gear_limit, infeasible, of_the_arm, ramp_of, ramp_time, ramp_tube
 from stopset.reach.stops.setting import OUTSIDE, Setting, beyond_domain, setting_of
 from stopset.reach.stops.start import NONE, Extrapolation, Start
+from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import fastest, stopped_after, tubes_of
 from stopset.reach.stops.types import CATEGORIES, Category, StopBound
