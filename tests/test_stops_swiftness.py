@@ -66,7 +66,7 @@ def test_the_swiftness_of_a_point_mass_is_that_of_its_mass() -> None:
     s, _ = setting(HEAVY, 1.0)
     m = s.plant.pi[-1, 0]
     centre = s.plant.pi[-1, 1:4] / m
-    assert swiftness(s.plant, 6, centre) == pytest.approx(1.0 / np.sqrt(m), rel=1e-5)
+    assert swiftness(s.plant, 6, centre) == pytest.approx(1.0 / np.sqrt(m), rel=2e-4)
     assert swiftness(s.plant, 6, centre + 0.1) > 1.01 / np.sqrt(m)
 
 

@@ -54,6 +54,7 @@ PROOF = (
     "pulls",
     "ramp",
     "related",
+    "swiftness",
     "torques",
     "tube",
 )

@@ -821,6 +821,9 @@ typedef struct {
 
 /* A tube of K steps, n joints, cut into at most `out->count` slices, which is then how many they are; work (K + 1,) [rad]. */
 STOPSET_API void stopset_slices(const StopsetTube *tube, int64_t K, int n, double *work, StopsetSlices *out);
+/* The swiftness of a point (3,) [m] of a link, see StopsetPoint, whatever the payload of the range; 0 where a body has no mass or no inertia that a
+ * body can have. */
+STOPSET_API double stopset_swiftness(const StopsetPlant *plant, int link, const double *at);
 /* Sets of a point's displacement [m] and of its velocity, angles (n,) [rad] at the cut in q +- q_radius. */
 STOPSET_API int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_radius, const StopsetSlices *slices,
                                    const StopsetPoint *point, const StopsetPointSets *out);
@@ -906,7 +909,6 @@ typedef struct {
     const double *tool;          /* (3,) [m] in the last link's frame */
     const StopsetTorques *torques; /* where friction and u depend on pose or speed; 0: the plant's hold everywhere */
     int32_t ranged;              /* what stopset_payloads says of the range that pi_half is of */
-    double swiftness[3];         /* [kg^-1/2] of the tool, see StopsetPoint: over the range, and over its heavier and its lighter part; 0: not known */
 } StopsetStops;
 /* Payloads from lo to hi [kg]: one, some, which two parts of their range may bound more tightly, or so much alike that finer steps bound all more tightly. */
 enum { STOPSET_ONE_PAYLOAD, STOPSET_SOME_PAYLOADS, STOPSET_ALIKE_PAYLOADS };

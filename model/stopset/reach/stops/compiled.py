@@ -51,8 +51,7 @@ class CompiledStops:
         plant, tool = plant_struct(s.plant), given(s.payload_com)
         lag = ffi.NULL if s.lag is None else view(given(s.lag))
         delay_spread = -1.0 if s.delay_spread is None else s.delay_spread
-        swift = [x.swiftness for x in (s, *s.parts)]
-        struct = ffi.new("StopsetStops *", (plant[0][0], lag, delay_spread, view(tool), torques, s.payloads, swift))
+        struct = ffi.new("StopsetStops *", (plant[0][0], lag, delay_spread, view(tool), torques, s.payloads))
         braking, held = (ffi.NULL, None) if ramp is None else _ramp_struct(s, ramp)
         return cls(s, ramp, struct, braking, (plant, torques, effects, lag, tool, held), np.empty(lib.stopset_stop_room(n)))
 

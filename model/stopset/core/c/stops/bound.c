@@ -213,7 +213,7 @@ double stops_rests_after(const StopAsk *a, int i) {
 static void tool_motion(const StopAsk *a, const double *q, const double *q_radius, double *far, double *fast) {
     const StopsetArm *arm = &a->stops->plant.arm;
     const int n = arm->n, m = 3 * (n + 1);
-    const StopsetPoint tool = {n - 1, a->stops->tool, a->stops->swiftness[0]};
+    const StopsetPoint tool = {n - 1, a->stops->tool, stopset_swiftness(&a->stops->plant, n - 1, a->stops->tool)};
     double *room = a->cut, border[SLICES + 1], box[6];
     StopsetSlices cut = {.count = SLICES, .border = border};
     StopsetPointSets sets;
@@ -337,7 +337,6 @@ static int part_rests(const StopsetStops *stops, int part, const StopsetStates *
     stopset_payload_part(&stops->plant, part, pi, half);
     some.plant.arm.pi = pi;
     some.plant.pi_half = half;
-    some.swiftness[0] = stops->swiftness[1 + part];
     return rests(&some, from, work, out);
 }
 
