@@ -16,6 +16,7 @@ from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.tubes import march_box
+from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import Chain, link_frames, mass_matrix
 from stopset.types import Array
 
@@ -81,7 +82,13 @@ def test_what_no_body_can_be_says_nothing() -> None:
     weightless[6] = 0.0
     bare = s.plant._replace(pi=weightless, pi_half=0.0 * s.plant.pi_half)
     assert swiftness(bare, 6, s.payload_com) == 0.0 < swiftness(bare, 5, np.zeros(3))
+    point = s.plant.pi.copy()
+    point[6] = standard_parameters(2.0, np.array([0.1, 0.0, 0.2]), np.zeros((3, 3)))  # it turns as fast as it likes
+    assert swiftness(s.plant._replace(pi=point, pi_half=0.0 * s.plant.pi_half), 6, s.payload_com) == 0.0
     assert swiftness(s.plant._replace(pi_half=-s.plant.pi_half), 6, s.payload_com) == 0.0
+    assert swiftness(s.plant, -1, s.payload_com) == swiftness(s.plant, 7, s.payload_com) == 0.0
+    with pytest.raises(ValueError, match="a point"):
+        swiftness(s.plant, 6, np.zeros(2))
 
 
 def test_the_energy_holds_the_tool_where_wrists_go_far_and_no_stop_gets_out() -> None:

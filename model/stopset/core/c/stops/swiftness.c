@@ -65,7 +65,7 @@ static double largest(const double *A) {
 double stopset_swiftness(const StopsetPlant *plant, int link, const double *at) {
     const int n = plant->arm.n;
     double lightest[10], c[3], I[9], inverse[9], A[9], r[3];
-    if (n < 1 || n > SN || link < 0 || link >= n) return 0.0;
+    if (link < 0 || link >= n) return 0.0;
     for (int i = 0; i < n; i++) {
         for (int k = 0; k < 10; k++) lightest[k] = plant->arm.pi[10 * i + k] - plant->pi_half[10 * i + k];
         if (!is_body(lightest) || !is_body(plant->pi_half + 10 * i)) return 0.0;
