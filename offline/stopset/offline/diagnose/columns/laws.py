@@ -19,6 +19,11 @@ MOVING = "moving"  # what that form has beyond gravity's
 RIGID = frozenset({"ddq", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
 
 
+def of_the_load(effect: Effect) -> bool:
+    """Whether a law is of friction that grows with the load, which has both forms."""
+    return effect.role == "friction" and "load" in effect.needs
+
+
 def columns(
     source: ArmSignals, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]
 ) -> dict[int, tuple[Array, Array]]:

@@ -86,9 +86,9 @@ def _deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Ca
             # a load is known no better than the torque it is weighed with: where that is too large, it is, too. What a fit says of all
             # drives' scale is as true as the description's masses, which err together, so it tells no more than a data sheet does
             off = engine.source.gain_std if engine.modelled else limit.DRIVES
-            # nor than its masses, which may all be off alike: another scale of the same torque, of which the drives' prior knows nothing
-            drives = place[engine.drives]
-            alike = 0.0 if engine.modelled else engine.mass_tolerance * P[drives] * inverse[:, drives]
+            # nor than the description's masses, which may all be off alike: links whose errors are independent of each other deny that
+            links = [place[k] for k in engine.cad.tolist()]
+            alike = 0.0 if engine.modelled else engine.mass_tolerance * inverse[:, links] @ (P[links] * engine.robot.pi.ravel())
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 a = np.zeros(len(full))
                 a[place[k]] = 1.0
