@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,14 @@ from stopset.offline.diagnose.answer import Parameter
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
+from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale
 from stopset.offline.diagnose.load import joints_disagree, nearest_body, of_a_body, says
 from stopset.offline.diagnose.search.held_out import HeldOut
 from stopset.offline.diagnose.search.predicts import judged
 from stopset.offline.diagnose.search.search import Claim, _foremost_first
 from stopset.offline.nominal.parameter_uncertainty import along, own_columns
 from stopset.offline.nominal.physical import pseudo_inertia
+from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
 from stopset.robot.arm import standard_parameters
 from stopset.robot.rigid import regressors, torques
@@ -115,6 +118,27 @@ def test_which_of_two_effects_that_masses_imitate_is_the_cause_does_not_hang_on_
     # where a joint keeps more than its noise the second one must stand out: both may be one error of the description
     assert not claimed(tilt, 0.026, load, 20.0) and not claimed(load, 0.026, tilt, 20.0) and claimed(tilt, 0.15, load, 20.0)
     assert claimed(tilt, 0.0, load, 1.0) and claimed(tilt, 0.0, rub, 20.0)
+
+
+@pytest.mark.parametrize("seed", [41, 42])
+@pytest.mark.parametrize("share", [-2.0, -1.0, 1.0, 2.0])
+def test_a_load_weighed_against_a_description_is_known_no_better_than_its_masses(seed: int, share: float) -> None:
+    """All its masses are off alike by some tolerances: links agree with each other then, next to nothing is left, and the load was told to a
+    twentieth of a kilogram, 0.24 kg off."""
+    scenario = prepare(robot_from_text(ARM), ["payload"], seed, "compact", "easy", "exact")
+    true = float(scenario.truth["effects"][0]["params"]["mass_kg"])
+    recordings = Recordings(dataclasses.replace(scenario.meta, sources=()), tuple(scenario.recordings()))
+    robot = scenario.robot.with_parameters((1.0 + share * Tolerance().mass) * scenario.robot.pi)
+    engine = Engine.build(robot, recordings)
+    (load,) = engine.add_all([(get("payload"), (), {})])
+    now = Hypothesis(engine, (load,))
+    hyper, p = now.fit()
+    std = deviations(now, hyper, p.theta, [load])[0]["m"]
+    mass = float(p.theta[now.nuisance.tolist().index(int(load.cols[0]))]) / drives_scale(now, p.theta)
+    assert max(now.excesses(p.theta, hyper)) < 1.2
+    assert abs(mass - true) < 1.96 * std
+    surer = replace(hyper, scale=min(engine.scales))  # what a fit that leaves less would say of its links
+    assert deviations(now, surer, p.theta, [load])[0]["m"] > 0.9 * std
 
 
 @pytest.mark.parametrize("seed", [5, 7])

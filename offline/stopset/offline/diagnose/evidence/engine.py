@@ -56,6 +56,7 @@ class Engine:
     as_before: NDArray[np.bool_]  # (n,) joints where a model holds as well as of its own recordings
     chosen: frozenset[tuple[str, tuple[int, ...]]]  # effects and joints of what identification chose in these recordings
     lag_std: float  # [s] how far off the lag is that was taken out of all joints' torque before; 0: none was
+    mass_tolerance: float  # relative, of the description's masses
     _level: dict[int, float] = field(default_factory=dict)
     _drowned: dict[int, bool] = field(default_factory=dict)
     _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
@@ -126,6 +127,7 @@ class Engine:
                 for e, _, at in (x.partition(":") for x in before.chosen)
             ),
             before.lag_std,
+            tol.mass,
         )
 
     @property

@@ -26,7 +26,34 @@ STEP = 0.01  # relative step of a shape's numerical derivative
 
 
 def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Candidate]) -> list[dict[str, float]]:
-    """Standard deviation of every term and shape of ``claims``; ``theta``: coefficients of ``now``, claims included."""
+    """Standard deviation of every term and shape of ``claims``; ``theta``: coefficients of ``now``, claims included.
+
+    Of a load against a description alone it is that of all scales of the description's errors, each as likely as it is, none below the
+    description's own: a fit that leaves little tells that its links agree with each other, not with the truth.
+    """
+    out = _deviations(now, hyper, theta, claims)
+    carried = [k for k, c in enumerate(claims) if c.effect.carried]
+    if now.engine.modelled or not carried:
+        return out
+    place = {column: k for k, column in enumerate(now.nuisance.tolist())}
+    scales = [replace(hyper, scale=s) for s in now.engine.scales if s >= 1.0]
+    evidence = np.array([now.evidence(h) for h in scales])
+    odds = np.exp((evidence - evidence.max()) / 2)
+    variance = [dict.fromkeys(out[k], 0.0) for k in carried]
+    for h, share in zip(scales, odds / odds.sum(), strict=True):
+        if share < limit.EDGE:
+            continue
+        x = now.view().project(h)[0].theta
+        for k, d, total in zip(carried, _deviations(now, h, x, [claims[k] for k in carried]), variance, strict=True):
+            for t, at in zip(claims[k].effect.terms, (place[c] for c in claims[k].cols.tolist()), strict=True):
+                total[t.symbol] += share * (d[t.symbol] ** 2 + float(x[at] - theta[at]) ** 2)
+    for k, total in zip(carried, variance, strict=True):
+        out[k] = {symbol: float(np.sqrt(v)) for symbol, v in total.items()}
+    return out
+
+
+def _deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Candidate]) -> list[dict[str, float]]:
+    """`deviations` at one scale of the description's errors."""
     engine, view = now.engine, now.view()
     place = {column: k for k, column in enumerate(now.nuisance.tolist())}
     grams, precision, shapes = list(view.engine.grams), [view.precision(hyper)], []
@@ -59,12 +86,15 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
             # a load is known no better than the torque it is weighed with: where that is too large, it is, too. What a fit says of all
             # drives' scale is as true as the description's masses, which err together, so it tells no more than a data sheet does
             off = engine.source.gain_std if engine.modelled else limit.DRIVES
+            # nor than the description's masses, which may all be off alike: links whose errors are independent of each other deny that
+            links = [place[k] for k in engine.cad.tolist()]
+            alike = 0.0 if engine.modelled else engine.mass_tolerance * inverse[:, links] @ (P[links] * engine.robot.pi.ravel())
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 a = np.zeros(len(full))
                 a[place[k]] = 1.0
                 a[place[engine.drives]] = 0.0 if engine.modelled else -theta[place[k]]
                 own = float(np.sqrt(max(a @ inverse @ a, a @ clustered @ a)))
-                deviation[t.symbol] = float(np.hypot(own, off * theta[place[k]]))
+                deviation[t.symbol] = float(np.linalg.norm([own, off * theta[place[k]], np.sum(a * alike)]))
         if (
             c.effect.enters == "input_delay"
         ):  # a lag is known no better than what its stamps mean, and what was taken out of it before

@@ -9,6 +9,7 @@ import numpy as np
 
 from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.columns.laws import TRANSMITTED, of_the_load
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper
 
@@ -34,6 +35,8 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
         if effect.loaded:
             places = [p for p in places if engine.loaded(p)]
         places = [p for p in places if not engine.drowned(effect, p)]
+        if of_the_load(effect):
+            out.extend((effect, place, {TRANSMITTED: 1.0}) for place in places if engine.loaded(place))
         grids = [s.grid for s in effect.shapes]
         for place in places:
             if effect.enters == "input_delay":
