@@ -78,7 +78,9 @@ def rows_left(model: Model | TorqueModel, r: Recording) -> Iterator[Rows]:
     for m in motions(r, Preprocessing()):
         k = m.retained
         q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
-        u = model.input(q, dq, tau, None if m.temp is None else m.temp[k], 0.0, m.t[k])
+        # what laws say passes the filter that the torque went through: a ripple of 10 Hz is not in it
+        said, filtered = (model.input(m.q, m.dq, x, m.temp, 0.0, m.t) for x in (np.zeros_like(m.tau), m.tau))
+        u = (filtered - said + m.smooth(said))[k]
         part = Recording("closed_loop", 0, 0, 0, m.t[k], q, dq, tau)
         left = left_over(model, part, u, float("nan"), ddq, window=1)
         yield Rows(q, dq, ddq, np.where(m.moving[k], left, np.nan), derivative(m.tau, m.period)[k])
