@@ -38,6 +38,8 @@ from independent_plant import (
     OFFSET,
     PLAY,
     RES_WIDTH,
+    ROCKS,
+    ROCKS_ABOUT,
     STIFF,
     V_S,
     friction,
@@ -59,7 +61,7 @@ Z, Y, X = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
 TICK, SUBSTEPS = 0.002, 4  # [s] a controller's cycle, and steps of the plant in it
 CONTROLLERS = ("forward", "computed", "velocity")
 KINDS = ("program", "circles", "sweep", "trajectory")
-HEALTHY, PAIR, ODDS = 0.35, 0.6, 0.35
+HEALTHY, PAIR, ODDS, PEDESTALS = 0.35, 0.6, 0.35, 0.15
 WARMS = 120.0  # [s] a drive's time constant
 WARM = ("self_heating", "warm_up")  # what warms is no false name of that
 # arms: per joint axis, way from the joint before [m], mass [kg], centre [m], torque limit [N m], gear ratio
@@ -267,16 +269,48 @@ def run(mode, R0, p, axis, pi, rotor, gravity, T, C, known, drotor, fc, fv, limi
     return Q, V, U
 
 
+FOOT, PEDESTAL = 0.5, 15.0  # [m] below the arm's base, where its pedestal rocks, and the pedestal's mass [kg]
+
+
+def on_a_pedestal(truth: Truth) -> tuple[Arm, Arm, Array, Array]:
+    """The arm, as it is and as its controller knows it, with a first joint that nothing moves but what bends it; tables of friction and coupling.
+
+    Its motor is one that nothing turns, its gear what gives: `ROCKS` [Hz] with the arm's mass at 0.8 m, damped by 4 %.
+    """
+    rocks, about = truth.T[0, [ROCKS, ROCKS_ABOUT]]
+    mass = PEDESTAL + float(truth.arm.pi[:, 0].sum())
+    own = about_origin(PEDESTAL, np.array([0, 0, FOOT / 2]), PEDESTAL * 0.03 * np.eye(3))
+    row = np.zeros(COLUMNS)
+    row[[V_S, RES_WIDTH, BUMP_WIDTH]] = 1.0
+    K = (2 * np.pi * rocks) ** 2 * mass * 0.8**2
+    row[[STIFF, DAMP]] = K, 0.08 * K / (2 * np.pi * rocks)
+
+    def above(a: Arm) -> Arm:
+        p = np.insert(a.p, 0, 0.0, axis=0)
+        p[1, 2] += FOOT
+        return replace(
+            a, joints=("foot", *a.joints), R0=np.insert(a.R0, 0, np.eye(3), axis=0), p=p, pi=np.insert(a.pi, 0, own, axis=0),
+            axis=np.insert(a.axis, 0, (np.cos(about), np.sin(about), 0.0), axis=0), rotor=np.insert(a.rotor, 0, 1e9),
+            limit=np.insert(a.limit, 0, 1.0), gear=np.insert(a.gear, 0, 1.0),
+        )  # fmt: skip
+
+    return above(truth.arm), above(truth.described), np.insert(truth.T, 0, row, axis=0), np.pad(truth.C, ((1, 0), (1, 0)))
+
+
 def recorded(truth: Truth, cell: Cell, folder: Path, name: str, rng: Generator) -> Path:
     """One file: what a logger wrote of 30 s, and the description it was driven by."""
     a, d = truth.arm, truth.described
     fast = float(rng.uniform(0.6, 1.0)) * (1.0 if a.n < 6 else 0.9)
     q = motion(cell.kind, a.n, fast, rng)
     warm = 1 - cell.warms * (1 - np.exp(-np.arange(len(q)) * TICK / WARMS))
+    T, C, first = truth.T, truth.C, 0
+    if T[0, ROCKS]:
+        (a, d, T, C), q, first = on_a_pedestal(truth), np.insert(q, 0, 0.0, axis=1), 1
     Q, V, U = run(
-        CONTROLLERS.index(cell.controller), a.R0, a.p, a.axis, a.pi, a.rotor, a.gravity, truth.T, truth.C, d.pi, d.rotor,
-        0.8 * truth.T[:, FC_POS], 0.8 * truth.T[:, FV], a.limit, q, cell.tick, warm, 1 - np.exp(-2 * np.pi * 60 * TICK),
+        CONTROLLERS.index(cell.controller), a.R0, a.p, a.axis, a.pi, a.rotor, a.gravity, T, C, d.pi, d.rotor,
+        0.8 * T[:, FC_POS], 0.8 * T[:, FV], a.limit, q, cell.tick, warm, 1 - np.exp(-2 * np.pi * 60 * TICK),
     )  # fmt: skip
+    Q, V, U, q, a = Q[:, first:], V[:, first:], U[:, first:], q[:, first:], truth.arm
     if not np.abs(Q - q).max() < 0.3:
         raise RuntimeError(f"the controller lost the arm: {np.abs(Q - q).max(axis=0)}")
     t = np.arange(len(Q)) * TICK
@@ -364,10 +398,18 @@ OTHERS: dict[str, tuple[Hidden, Callable[[Truth, int, float], float]]] = {
     "play": (_hidden(_play), lambda t, j, u: 1e-3 * (0.6 + 1.2 * u)),
     "bump": (OUTSIDE["bump"], lambda t, j, u: (0.3 + 0.4 * u) * float(t.T[j, FC_POS])),
     "uneven": (OUTSIDE["uneven"], lambda t, j, u: (0.2 + 0.2 * u) * float(t.T[j, FC_POS])),
+    "pedestal": (
+        _hidden(lambda t, j, x, u: put(t, 0, ROCKS=x, ROCKS_ABOUT=3.14 * u[0])), lambda t, j, u: 5.0 + 7.0 * u),
 }  # fmt: skip
 LOADED = ("load_coulomb", "torque_gain", "elasticity", "counterbalance", "quadratic_load", "play")
 SAYS = {"offset": ("asymmetric_coulomb",)}  # a constant torque
-NAMELESS = {"play": ("none", "unknown"), "bump": ("unknown",), "uneven": ("unknown",), "offset": ("missing", "changed", "none")}
+NAMELESS = {
+    "play": ("none", "unknown"),
+    "pedestal": ("none", "unknown"),
+    "bump": ("unknown",),
+    "uneven": ("unknown",),
+    "offset": ("missing", "changed", "none"),
+}
 
 
 def drawn(seed: int, healthy: bool = False, others: bool = False) -> tuple[Truth, Truth, Cell, Cell, Case, int]:
@@ -400,7 +442,8 @@ def drawn(seed: int, healthy: bool = False, others: bool = False) -> tuple[Truth
         right = ("none", "unknown", *(("missing",) if cell.warms else ())) if drift.any() or cell.warms else NONE
         right = (*right, "missing") if says else right
         return truth, aged, cell, later, Case(f"{'later ' * pair}healthy, {words}", pair, verdicts=right, says=says), joint
-    choice = str(rng.choice([*OTHERS] if others else [*SIZES, *["worn"] * (3 if pair else 0)]))
+    choice = str(rng.choice([*OTHERS][:-1] if others else [*SIZES, *["worn"] * (3 if pair else 0)]))
+    choice = [*OTHERS][-1] if others and np.random.default_rng([seed, 7]).random() < PEDESTALS else choice
     where = int(np.argmax(truth.arm.limit)) + 1 if choice in LOADED else joint
     kind, size_of, at = (*OTHERS[choice], where) if others else (EFFECTS.get(choice, WORN), SIZES.get(choice, _much), joint)
     size = size_of(aged, at, float(rng.random()))
