@@ -6,7 +6,7 @@ on what encoders of a certain step read; a logger of 100 or 125 Hz writes CSV: m
 production program (pick and place, some paths again and again), circles, sweeps or one trajectory.  Friction warms within the file; torque
 constants are off one by one; weeks later friction is another by some percent.
 
-    python benchmarks/found_outside.py ask --seed 117000 --count 14 --out OUT [--healthy]
+    python benchmarks/found_outside.py ask --seed 117000 --count 14 --out OUT [--healthy | --others]
     python benchmarks/found_outside.py rate --out OUT
 """
 
@@ -24,16 +24,22 @@ import numpy as np
 from found_pairs import FRICTION, NONE, Case, judged, rate
 from independent_arm import Arm, Array, about_origin, centred, frames, mass_matrix, newton_euler
 from independent_effects import EFFECTS
-from independent_hidden import Hidden, put
+from independent_hidden import Hidden, between, put
 from independent_motions import Generator
+from independent_outside import OUTSIDE
 from independent_plant import (
     BUMP_WIDTH,
     COLUMNS,
     DAHL,
+    DAMP,
     FC_NEG,
     FC_POS,
     FV,
+    OFFSET,
+    PLAY,
     RES_WIDTH,
+    ROCKS,
+    ROCKS_ABOUT,
     STIFF,
     V_S,
     friction,
@@ -55,7 +61,7 @@ Z, Y, X = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
 TICK, SUBSTEPS = 0.002, 4  # [s] a controller's cycle, and steps of the plant in it
 CONTROLLERS = ("forward", "computed", "velocity")
 KINDS = ("program", "circles", "sweep", "trajectory")
-HEALTHY, PAIR, ODDS = 0.35, 0.6, 0.35
+HEALTHY, PAIR, ODDS, PEDESTALS = 0.35, 0.6, 0.35, 0.15
 WARMS = 120.0  # [s] a drive's time constant
 WARM = ("self_heating", "warm_up")  # what warms is no false name of that
 # arms: per joint axis, way from the joint before [m], mass [kg], centre [m], torque limit [N m], gear ratio
@@ -239,7 +245,9 @@ def run(mode, R0, p, axis, pi, rotor, gravity, T, C, known, drotor, fc, fv, limi
                 for j in range(n):
                     f += C[i, j] * dth[j]
                 if T[i, STIFF] > 0:
-                    g = T[i, STIFF] * (th[i] - q[i]) + T[i, 16] * (dth[i] - dq[i])
+                    bend = th[i] - q[i]
+                    bend -= min(max(bend, -0.5 * T[i, PLAY]), 0.5 * T[i, PLAY])
+                    g = T[i, STIFF] * bend + T[i, DAMP] * (dth[i] - dq[i])
                     dth[i] += h * (tau[i] - f - g) / (rotor[i] + h * slope)
                     net[i] += g
                 else:
@@ -261,20 +269,53 @@ def run(mode, R0, p, axis, pi, rotor, gravity, T, C, known, drotor, fc, fv, limi
     return Q, V, U
 
 
+FOOT, PEDESTAL = 0.5, 15.0  # [m] below the arm's base, where its pedestal rocks, and the pedestal's mass [kg]
+
+
+def on_a_pedestal(truth: Truth) -> tuple[Arm, Arm, Array, Array]:
+    """The arm, as it is and as its controller knows it, with a first joint that nothing moves but what bends it; tables of friction and coupling.
+
+    Its motor is one that nothing turns, its gear what gives: `ROCKS` [Hz] with the arm's mass at 0.8 m, damped by 4 %.
+    """
+    rocks, about = truth.T[0, [ROCKS, ROCKS_ABOUT]]
+    mass = PEDESTAL + float(truth.arm.pi[:, 0].sum())
+    own = about_origin(PEDESTAL, np.array([0, 0, FOOT / 2]), PEDESTAL * 0.03 * np.eye(3))
+    row = np.zeros(COLUMNS)
+    row[[V_S, RES_WIDTH, BUMP_WIDTH]] = 1.0
+    K = (2 * np.pi * rocks) ** 2 * mass * 0.8**2
+    row[[STIFF, DAMP]] = K, 0.08 * K / (2 * np.pi * rocks)
+
+    def above(a: Arm) -> Arm:
+        p = np.insert(a.p, 0, 0.0, axis=0)
+        p[1, 2] += FOOT
+        return replace(
+            a, joints=("foot", *a.joints), R0=np.insert(a.R0, 0, np.eye(3), axis=0), p=p, pi=np.insert(a.pi, 0, own, axis=0),
+            axis=np.insert(a.axis, 0, (np.cos(about), np.sin(about), 0.0), axis=0), rotor=np.insert(a.rotor, 0, 1e9),
+            limit=np.insert(a.limit, 0, 1.0), gear=np.insert(a.gear, 0, 1.0),
+        )  # fmt: skip
+
+    return above(truth.arm), above(truth.described), np.insert(truth.T, 0, row, axis=0), np.pad(truth.C, ((1, 0), (1, 0)))
+
+
 def recorded(truth: Truth, cell: Cell, folder: Path, name: str, rng: Generator) -> Path:
     """One file: what a logger wrote of 30 s, and the description it was driven by."""
     a, d = truth.arm, truth.described
     fast = float(rng.uniform(0.6, 1.0)) * (1.0 if a.n < 6 else 0.9)
     q = motion(cell.kind, a.n, fast, rng)
     warm = 1 - cell.warms * (1 - np.exp(-np.arange(len(q)) * TICK / WARMS))
+    T, C, first = truth.T, truth.C, 0
+    if T[0, ROCKS]:
+        (a, d, T, C), q, first = on_a_pedestal(truth), np.insert(q, 0, 0.0, axis=1), 1
     Q, V, U = run(
-        CONTROLLERS.index(cell.controller), a.R0, a.p, a.axis, a.pi, a.rotor, a.gravity, truth.T, truth.C, d.pi, d.rotor,
-        0.8 * truth.T[:, FC_POS], 0.8 * truth.T[:, FV], a.limit, q, cell.tick, warm, 1 - np.exp(-2 * np.pi * 60 * TICK),
+        CONTROLLERS.index(cell.controller), a.R0, a.p, a.axis, a.pi, a.rotor, a.gravity, T, C, d.pi, d.rotor,
+        0.8 * T[:, FC_POS], 0.8 * T[:, FV], a.limit, q, cell.tick, warm, 1 - np.exp(-2 * np.pi * 60 * TICK),
     )  # fmt: skip
+    Q, V, U, q, a = Q[:, first:], V[:, first:], U[:, first:], q[:, first:], truth.arm
     if not np.abs(Q - q).max() < 0.3:
         raise RuntimeError(f"the controller lost the arm: {np.abs(Q - q).max(axis=0)}")
     t = np.arange(len(Q)) * TICK
     tau = np.stack([np.interp(t - late, t, U[:, j]) for j, late in enumerate(truth.delay)], axis=1) / (truth.gain * cell.gain)
+    tau = tau + truth.T[:, OFFSET]
     if cell.cut:
         share = 1 - np.exp(-2 * np.pi * cell.cut * TICK)
         for k in range(1, len(tau)):
@@ -326,10 +367,52 @@ def _worn(t: Truth, j: int, x: float, u: Array) -> Truth:
     return put(t, j, **{k: x * float(t.T[j, c]) for k, c in (("FC_POS", FC_POS), ("FC_NEG", FC_NEG), ("FV", FV))})
 
 
+def _much(t: Truth, j: int, u: float) -> float:
+    return 1.25 + 0.3 * u
+
+
 WORN = Hidden(_worn, lambda t, j: 1.2, lambda t, j: 1.6)
 
 
-def drawn(seed: int, healthy: bool = False) -> tuple[Truth, Truth, Cell, Cell, Case, int]:
+def _play(t: Truth, j: int, x: float, u: Array) -> Truth:
+    K = 800.0 * float(t.arm.limit[j])
+    return put(t, j, PLAY=x, STIFF=K, DAMP=0.4 * np.sqrt(K * t.arm.rotor[j]))
+
+
+def _hidden(apply: Callable[[Truth, int, float, Array], Truth]) -> Hidden:
+    return Hidden(apply, *between(0.0, 1.0))
+
+
+# what `SIZES` lack, as ``--others`` draws them: law and size
+OTHERS: dict[str, tuple[Hidden, Callable[[Truth, int, float], float]]] = {
+    "counterbalance": (
+        _hidden(lambda t, j, x, u: put(t, j, GAS=x, GAS_Q0=2.0 + 2.2 * u[0], GAS_R=0.2 + 0.3 * u[1])),
+        lambda t, j, u: (0.1 + 0.15 * u) * float(t.arm.limit[j])),
+    "cable": (
+        _hidden(lambda t, j, x, u: put(t, j, SPRING=x, SPRING_Q0=0.6 * (u[0] - 0.5), HARDEN=1.5)),
+        lambda t, j, u: (0.25 + 0.35 * u) * float(t.T[j, FC_POS])),
+    "quadratic_load": (
+        _hidden(lambda t, j, x, u: put(t, j, LOAD_2=x)), lambda t, j, u: (0.06 + 0.08 * u) / (0.2 * float(t.arm.limit[j]))),
+    "cubic_viscous": (EFFECTS["cubic_viscous"], lambda t, j, u: 0.25 + 0.35 * u),
+    "offset": (_hidden(lambda t, j, x, u: put(t, j, OFFSET=x * (1 if u[0] < 0.5 else -1))), lambda t, j, u: (0.2 + 0.3 * u) * float(t.T[j, FC_POS])),
+    "play": (_hidden(_play), lambda t, j, u: 1e-3 * (0.6 + 1.2 * u)),
+    "bump": (OUTSIDE["bump"], lambda t, j, u: (0.3 + 0.4 * u) * float(t.T[j, FC_POS])),
+    "uneven": (OUTSIDE["uneven"], lambda t, j, u: (0.2 + 0.2 * u) * float(t.T[j, FC_POS])),
+    "pedestal": (
+        _hidden(lambda t, j, x, u: put(t, 0, ROCKS=x, ROCKS_ABOUT=3.14 * u[0])), lambda t, j, u: 5.0 + 7.0 * u),
+}  # fmt: skip
+LOADED = ("load_coulomb", "torque_gain", "elasticity", "counterbalance", "quadratic_load", "play")
+SAYS = {"offset": ("asymmetric_coulomb",)}  # a constant torque
+NAMELESS = {
+    "play": ("none", "unknown"),
+    "pedestal": ("none", "unknown"),
+    "bump": ("unknown",),
+    "uneven": ("unknown",),
+    "offset": ("missing", "changed", "none"),
+}
+
+
+def drawn(seed: int, healthy: bool = False, others: bool = False) -> tuple[Truth, Truth, Cell, Cell, Case, int]:
     """An arm, the same one changed, cells of the first and of the later file, what is right, and the joint."""
     rng = np.random.default_rng([seed, 5])
     name = str(rng.choice(list(ARMS)))
@@ -354,27 +437,37 @@ def drawn(seed: int, healthy: bool = False) -> tuple[Truth, Truth, Cell, Cell, C
     aged = replace(truth, T=T)
     words = f"{name} {cell.controller} {cell.kind}{f' {later.kind}' * pair}"
     words += f"{' filtered' * bool(cell.cut)}{' warms' * bool(cell.warms)}{' steps' * bool(on[2])}{' one by one' * bool(on[1])}"
-    if healthy or rng.random() < HEALTHY:
+    if healthy or (not others and rng.random() < HEALTHY):
         later = replace(later, drift=drift)
         right = ("none", "unknown", *(("missing",) if cell.warms else ())) if drift.any() or cell.warms else NONE
         right = (*right, "missing") if says else right
         return truth, aged, cell, later, Case(f"{'later ' * pair}healthy, {words}", pair, verdicts=right, says=says), joint
-    choice = str(rng.choice([*SIZES, *["worn"] * (3 if pair else 0)]))
-    kind = WORN if choice == "worn" else EFFECTS[choice]
-    size = float(1.25 + 0.3 * rng.random()) if choice == "worn" else SIZES[choice](aged, joint, float(rng.random()))
-    joint = int(np.argmax(truth.arm.limit)) + 1 if choice in ("load_coulomb", "torque_gain", "elasticity") else joint
-    joint = min(joint, n - 2) if kind.pair else joint
+    choice = str(rng.choice([*OTHERS][:-1] if others else [*SIZES, *["worn"] * (3 if pair else 0)]))
+    choice = [*OTHERS][-1] if others and np.random.default_rng([seed, 7]).random() < PEDESTALS else choice
+    where = int(np.argmax(truth.arm.limit)) + 1 if choice in LOADED else joint
+    kind, size_of, at = (*OTHERS[choice], where) if others else (EFFECTS.get(choice, WORN), SIZES.get(choice, _much), joint)
+    size = size_of(aged, at, float(rng.random()))
+    joint = min(where, n - 2) if kind.pair else where
     changed = kind.apply(aged, joint, size, u)
-    says = (*(FRICTION if choice == "worn" else (choice,)), *says)
+    says = (*(FRICTION if choice == "worn" else SAYS.get(choice, () if choice in NAMELESS else (choice,))), *says)
     place = "arm" if kind.whole_arm else str(joint)
-    effect = "" if choice == "worn" else choice
-    case = Case(f"{'later ' * pair}{choice} at {place} of {size:.3g}, {words}", pair, effect=effect, place=place, says=says)
+    effect = "" if choice == "worn" or choice in NAMELESS else choice
+    told = ("missing", "changed")
+    verdicts = told if pair and choice == "offset" else NAMELESS.get(choice, told)
+    case = Case(
+        f"{'later ' * pair}{choice} at {place} of {size:.3g}, {words}",
+        pair,
+        effect=effect,
+        place=place,
+        verdicts=verdicts,
+        says=says,
+    )
     return truth, changed, cell, later, case, joint
 
 
-def files(seed: int, healthy: bool, folder: Path) -> tuple[Path, Path, Path | None, Case, int]:
+def files(seed: int, healthy: bool, folder: Path, others: bool = False) -> tuple[Path, Path, Path | None, Case, int]:
     """Description, first file, and the later one of a pair."""
-    truth, changed, cell, later, case, joint = drawn(seed, healthy)
+    truth, changed, cell, later, case, joint = drawn(seed, healthy, others)
     rng = np.random.default_rng([seed, 6])
     urdf_path = described(truth, folder)
     if not case.pair:
@@ -383,23 +476,23 @@ def files(seed: int, healthy: bool, folder: Path) -> tuple[Path, Path, Path | No
     return urdf_path, first, recorded(changed, later, folder, "later", rng), case, joint
 
 
-def made(seed: int, healthy: bool, folder: Path) -> tuple[Any, Any, Recordings, Case, int]:
+def made(seed: int, healthy: bool, folder: Path, others: bool = False) -> tuple[Any, Any, Recordings, Case, int]:
     """Robot, model, what is diagnosed, what is right, and the joint."""
-    urdf_path, first_path, later_path, case, joint = files(seed, healthy, folder)
+    urdf_path, first_path, later_path, case, joint = files(seed, healthy, folder, others)
     robot = load_robot(urdf_path)
     first = read_recordings(first_path, robot)
     model = identified(robot, Campaign(first.meta, lambda: iter(first.trials)), Settings(), silent, None, (), None).model
     return robot, model, first if later_path is None else read_recordings(later_path, robot), case, joint
 
 
-def asked(seed: int, healthy: bool = False) -> dict[str, Any]:
+def asked(seed: int, healthy: bool = False, others: bool = False) -> dict[str, Any]:
     """The answer to one set, and whether it is right."""
     with tempfile.TemporaryDirectory() as name:
         try:
-            robot, model, data, case, joint = made(seed, healthy, Path(name))
+            robot, model, data, case, joint = made(seed, healthy, Path(name), others)
             found, _ = diagnose_model(model, data)
         except StopsetError as error:  # a refusal is an answer, too
-            case = drawn(seed, healthy)[4]
+            case = drawn(seed, healthy, others)[4]
             return {"case": case.name, "right": False, "false": [], "verdict": f"{type(error).__name__}: {error}", "named": []}
     answer: dict[str, Any] = judged(found, case, robot, joint)
     # what all joints do is no false name: warm up, or weigh by constants that are off one by one, of which a model of the same arm says nothing
@@ -414,13 +507,14 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=117000)
     parser.add_argument("--count", type=int, default=14)
     parser.add_argument("--healthy", action="store_true", help="healthy arms, no other")
+    parser.add_argument("--others", action="store_true", help="gas springs, cables, offsets, play and what else `SIZES` lacks")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     for seed in range(args.seed, args.seed + args.count) if args.command == "ask" else ():
-        file = args.out / f"{seed}{'_healthy' * args.healthy}.json"
+        file = args.out / f"{seed}{'_healthy' * args.healthy}{'_others' * args.others}.json"
         if not file.exists():
-            file.write_text(json.dumps(asked(seed, args.healthy), default=str))
+            file.write_text(json.dumps(asked(seed, args.healthy, args.others), default=str))
         answer = json.loads(file.read_text())
         print("right" if answer["right"] else "WRONG", file.stem, answer["case"], answer["verdict"], answer["named"], flush=True)
     rate(args.out)

@@ -18,7 +18,8 @@ T_REF = 30.0  # [degC]
 FC_POS, FC_NEG, FV, CUBIC, STICK, V_S, BETA, MOTOR_LOAD, BRAKE_LOAD, DAHL, RIPPLE, RIPPLE_N, RIPPLE_PHASE = range(13)
 SPRING, SPRING_Q0, STIFF, DAMP, BUMP, BUMP_AT, BUMP_WIDTH, RESONANCE, RES_AT, RES_WIDTH = range(13, 23)
 CROSS, CROSS_JOINT, WEAVE, WEAVE_JOINT, WEAVE_N, UNEVEN, UNEVEN_Q0 = range(23, 30)
-THIN, THIN_V, STICK_P, LUGRE, BOUC, STIFFEN, HARDEN, ROUGH, ROUGH_N, CHATTER, CHATTER_HZ, SNAG, SNAG_Q0, COLUMNS = range(30, 44)
+THIN, THIN_V, STICK_P, LUGRE, BOUC, STIFFEN, HARDEN, ROUGH, ROUGH_N, CHATTER, CHATTER_HZ, SNAG, SNAG_Q0 = range(30, 43)
+LOAD_2, GAS, GAS_Q0, GAS_R, OFFSET, PLAY, ROCKS, ROCKS_ABOUT, COLUMNS = range(43, 52)
 
 
 @njit(cache=True)
@@ -48,6 +49,7 @@ def friction(row, v, q, dT, load, sc, sv, F):  # type: ignore[no-untyped-def]
     fc = row[FC_POS] if v > 0 else row[FC_NEG]
     fc += row[STICK] * np.exp(-((abs(v) / row[V_S]) ** (2.0 if row[STICK_P] == 0 else row[STICK_P])))
     fc += (row[MOTOR_LOAD] if v * load > 0 else row[BRAKE_LOAD]) * abs(load)
+    fc += row[LOAD_2] * load * load
     fc += row[RESONANCE] * np.exp(-(((abs(v) - row[RES_AT]) / row[RES_WIDTH]) ** 2))
     fc += row[UNEVEN] * np.tanh((q - row[UNEVEN_Q0]) / 0.05) + row[ROUGH] * np.sin(row[ROUGH_N] * q)
     fv = row[FV] * np.exp(-row[BETA] * dT) * sv
@@ -74,6 +76,8 @@ def position_torque(row, q):  # type: ignore[no-untyped-def]
     d = q - row[SPRING_Q0]
     out = row[RIPPLE] * np.sin(row[RIPPLE_N] * q + row[RIPPLE_PHASE]) + row[SPRING] * d * (1 + row[HARDEN] * d * d)
     out += row[SNAG] * max(0.0, q - row[SNAG_Q0])
+    turn = q - row[GAS_Q0]  # a gas spring's force is all but the same at any length, the longer lever is 1
+    out += row[GAS] * np.sin(turn) / np.sqrt(1 + row[GAS_R] ** 2 + 2 * row[GAS_R] * np.cos(turn))
     return out + row[BUMP] * np.exp(-0.5 * ((q - row[BUMP_AT]) / row[BUMP_WIDTH]) ** 2)
 
 

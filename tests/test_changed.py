@@ -16,6 +16,7 @@ from stopset.errors import RecordingError
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
+from stopset.offline.compare.known import rows_left
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis, diagnose_model
 from stopset.offline.diagnose import thresholds as limit
@@ -23,6 +24,7 @@ from stopset.offline.diagnose.answer import Parameter, Ranked
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.diagnose import SINCE, _with_changes, answered
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.priors import Known
 from stopset.offline.diagnose.examination import examine
 from stopset.offline.diagnose.levels import ColumnLevel, level_changes
 from stopset.offline.diagnose.levels import _friction as friction_levels
@@ -429,3 +431,27 @@ def test_an_offset_at_one_joint_leaves_those_of_the_others_to_be_told(pair: Pair
     told = {c.joint: c.after for c in changes(pair.model, moved) if c.effect == "asymmetric_coulomb"}
     assert set(told) == set(pair.model.joints[1:])
     assert [told[j] for j in pair.model.joints[1:]] == pytest.approx(off[1:], rel=0.1)
+
+
+def test_what_explains_more_than_a_models_own_recordings_held_beside_their_noise_is_new() -> None:
+    """A model file that does not say how much that was may have held anything."""
+    one = np.ones(3)
+    said = Known(np.ones((3, 2)), np.ones((3, 2)), own=one, now=1.2 * one, own_excess=np.array([0.8, 1.2, 5.0]))
+    assert said.as_before.all() and said.hidden_before == pytest.approx([limit.SENSORS - 1.0, limit.SENSORS - 1.0, 4.0])
+    assert np.isinf(replace(said, own_excess=np.zeros(0)).hidden_before).all()
+
+
+def test_a_law_is_held_against_the_torque_behind_the_filter_that_the_torque_passed(program: Pair) -> None:
+    """A ripple of 10 Hz is not in rows of 6 Hz: to take it off there puts it in with the other sign."""
+    model = program.model
+    first, *_ = _logged(program.scenario, LATER).trials
+    q = 1.5 * np.sin(0.8 * first.t)[:, None] * np.ones(model.n)
+    said = Fitted("torque_ripple", model.joints[0], {"a": 5.0, "b": 0.0, "n": 60.0})
+    at = replace(first, q=q, dq=1.2 * np.cos(0.8 * first.t)[:, None] * np.ones(model.n))
+    u = [replace(model, effects=(*model.effects, *x)).input(at.q, at.dq, at.tau, None, 0.0, at.t) for x in ((), (said,))]
+    rippling = replace(at, tau=at.tau + (u[0] - u[1]))
+    told = replace(model, effects=(*model.effects, said))
+    (without,), (with_it,) = (list(rows_left(m, r, filtered=True)) for m, r in ((model, at), (told, rippling)))
+    np.testing.assert_allclose(with_it.left[:, 0], without.left[:, 0], atol=0.25)
+    (unfiltered,) = rows_left(told, rippling)
+    assert np.nanmax(np.abs(unfiltered.left - without.left)[:, 0]) > 2.0

@@ -294,6 +294,14 @@ def test_of_drawn_cases_of_a_real_arms_description(shared_data, seed: int, verdi
 
 
 @pytest.mark.shared
+def test_a_ripple_below_its_sensors_noise_is_new_where_the_model_left_only_that_noise(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """It left 0.81 N m before and 0.75 after, nearly all of it noise; and in torque through 6 Hz no law of 10 Hz takes anything away."""
+    case, robot = found_pairs.weeks_later(found_pairs.drawn(116147, 6), 116147), str(shared_data("ur10e/robot.urdf"))
+    answer = found_pairs.asked(robot, case, 116147)
+    assert answer["named"] == ["torque_ripple:shoulder_pan_joint"] and case.effect == "torque_ripple", answer
+
+
+@pytest.mark.shared
 def test_what_the_form_of_a_soft_gear_leaves_is_no_second_cause(shared_data) -> None:  # type: ignore[no-untyped-def]
     """It took away 545 times the elbow's noise; of the 2.5 left a cubic friction took up a part, whose leftover spoke against all: *unknown*."""
     case, robot = found_pairs.weeks_later(found_pairs.drawn(113007, 6), 113007), str(shared_data("ur10e/robot.urdf"))

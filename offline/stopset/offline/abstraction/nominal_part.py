@@ -57,6 +57,7 @@ class NominalPart:
     friction_covariance: dict[str, dict[str, Any]] = field(default_factory=dict)  # see `Nominal.friction_covariance`
     left_open: Array = field(default_factory=lambda: np.zeros((0, 0)))  # see `parameter_uncertainty.left_open`
     left_of_own: tuple[float | None, ...] | None = None  # (n,) [N m] that it leaves of what it was fitted to; None: not asked yet
+    excess_of_own: tuple[float, ...] = ()  # (n,) and its variance over that of the sensors' noise, in the rows of a diagnosis
     inertia_std: Array | None = None  # (n,) see `Model`
     rotors_shown: bool = True
     unseen: float | None = None

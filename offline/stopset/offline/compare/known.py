@@ -73,12 +73,18 @@ class Rows(NamedTuple):
     rate: Array
 
 
-def rows_left(model: Model | TorqueModel, r: Recording) -> Iterator[Rows]:
-    """`left_over` of a recording, low-passed as identification fits it, motion by motion."""
+def rows_left(model: Model | TorqueModel, r: Recording, *, filtered: bool = False) -> Iterator[Rows]:
+    """`left_over` of a recording, low-passed as identification fits it, motion by motion; ``filtered``: what laws say, too.
+
+    A ripple of 10 Hz is not in the torque behind that filter.
+    """
     for m in motions(r, Preprocessing()):
         k = m.retained
         q, dq, ddq, tau = (np.ascontiguousarray(x[k]) for x in (m.q, m.dq, m.ddq, m.tau))
         u = model.input(q, dq, tau, None if m.temp is None else m.temp[k], 0.0, m.t[k])
+        if filtered:
+            said, whole = (model.input(m.q, m.dq, x, m.temp, 0.0, m.t) for x in (np.zeros_like(m.tau), m.tau))
+            u = (whole - said + m.smooth(said))[k]
         part = Recording("closed_loop", 0, 0, 0, m.t[k], q, dq, tau)
         left = left_over(model, part, u, float("nan"), ddq, window=1)
         yield Rows(q, dq, ddq, np.where(m.moving[k], left, np.nan), derivative(m.tau, m.period)[k])

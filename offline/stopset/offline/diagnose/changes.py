@@ -197,7 +197,7 @@ class _Taken(NamedTuple):
     begins: list[str]
 
 
-def _taken(model: Model, recordings: Sequence[Recording]) -> _Taken | None:
+def _taken(model: Model, recordings: Sequence[Recording], *, filtered: bool = False) -> _Taken | None:
     parts: list[Rows] = []
     block: list[int] = []
     begins: list[str] = []
@@ -205,7 +205,7 @@ def _taken(model: Model, recordings: Sequence[Recording]) -> _Taken | None:
     whole = len(moving) >= limit.CHANGE_TRIALS  # friction scatters from trial to trial: pieces of one err alike
     for r in moving:
         for piece in (r,) if whole else blocks(r):
-            for rows in rows_left(model, piece):
+            for rows in rows_left(model, piece, filtered=filtered):
                 parts.append(rows)
                 block += [number] * len(rows.left)
             if number in block[-1:]:  # one that gave no row, as a stop's, is none
@@ -231,8 +231,8 @@ def _rows(
 
 def left_beside_friction(model: Model, recordings: Sequence[Recording]) -> Array:
     """(n,) [N m] root mean square of the torque that a model leaves of each joint beside friction, of which a joint has another day more or
-    less; nan where it never moves."""
-    x = _taken(model, recordings)
+    less; nan where it never moves.  What laws say passes the filter of the rows."""
+    x = _taken(model, recordings, filtered=True)
     out = np.full(model.n, np.nan)
     if x is None:
         return out

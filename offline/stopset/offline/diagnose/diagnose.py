@@ -158,12 +158,14 @@ def diagnose_model(
 
 
 def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:
-    """The model with the named effects whose torque the measured state tells: what these explain is no change of a level.
+    """The model with the named effects whose torque the measured state tells, and drives' scales: what these explain is no change of a level.
 
-    A cable pack at a joint that gravity loads looks like a torque scale of all joints, as hardly another one carries as much.
+    A cable pack at a joint that gravity loads looks like a torque scale of all joints, as hardly another one carries as much; and a drive
+    that tells too much tells too much friction.
     """
     known = {f.label for f in model.effects}
-    telling = tuple(r.fitted for r in found.ranked if r.label not in known and given_by_state(r))
+    new = [r for r in found.ranked if r.label not in known]
+    telling = tuple(r.fitted for r in new if given_by_state(r) or get(r.effect).enters == "input_gain")
     return replace(model, effects=(*model.effects, *telling)) if telling else model
 
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stopset.artifact import Model
 from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.alike import alike
 from stopset.offline.diagnose.answer import Parameter, Ranked
 from stopset.offline.diagnose.columns.laws import MOVING, TRANSMITTED, of_the_load
+from stopset.offline.diagnose.evidence.baseline import of_model
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
@@ -33,6 +35,7 @@ from stopset.offline.diagnose.search.structures import may_sit_at
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
+from stopset.types import Array
 from stopset.words import many
 
 WHILE_MOVING = (
@@ -92,6 +95,15 @@ def examine(
     # what bends a gear is the torque of the arm as it is, with what it carries and all: a description may be any times off
     as_fitted = robot.with_parameters(robot.pi + engine.body(left.theta).reshape(robot.pi.shape))
     return Examination(already, found, left, _ranked(found, already, left), plays(as_fitted, recordings))
+
+
+def excess_left(model: Model, recordings: Recordings) -> Array:
+    """(n,) residual variance over the sensors' noise that a model leaves of recordings, as a search in them would begin with it."""
+    base = of_model(model)
+    engine = Engine.build(base.robot, recordings, Beforehand(None, base.known))
+    now = _with_own(Hypothesis(engine), model.effects)
+    hyper, p = now.fit()
+    return np.array(now.excesses(p.theta, hyper))
 
 
 def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:
@@ -246,12 +258,14 @@ def _by_all_joints(
 def _as_before(found: Found, claim: Claim) -> str:
     """Why a claim is none: the model leaves no more of the joints that it explains than it left of its own recordings.
 
-    What a model could not explain when it was identified is still there, and no change.  A gear explains what it shakes, too.
+    What a model could not explain when it was identified is still there, and no change; but what is more than its own recordings held beside
+    their sensors' noise is new, however little of all that is left it is.  A gear explains what it shakes, too.
     """
     engine, c = found.now.engine, claim.scored.candidate
     at = c.joints or tuple(np.flatnonzero(np.array(claim.excess_before) > np.array(claim.excess_after)).tolist())
     at = (*at, *(j for j in range(engine.data.n) if shakes(claim, j)))
-    if at and all(engine.as_before[j] for j in at):
+    explained = np.array(claim.excess_before) - np.array(claim.excess_after)
+    if at and all(engine.as_before[j] and explained[j] <= engine.hidden_before[j] for j in at):
         return "the model leaves no more there than it left of its own recordings, so it is no change since"
     return ""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stopset.artifact import Domain, Model, Revision, UncertaintySets
+from stopset.errors import RecordingError
 from stopset.offline.abstraction.metrics import STOP_TIME, Figures
 from stopset.offline.abstraction.nominal_part import NominalPart
 from stopset.offline.brakes import identify_stops, with_stops
@@ -24,7 +26,9 @@ from stopset.offline.conform.guarantee import union
 from stopset.offline.conform.linear_sets import ConformedSets, conform, few_motions
 from stopset.offline.conform.tightness import Tightness, of_tube
 from stopset.offline.description.agreement import held_to_pinocchio
+from stopset.offline.diagnose.examination import excess_left
 from stopset.offline.diagnose.question import in_time
+from stopset.offline.diagnose.standing import moves
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
 from stopset.offline.identify.rests import at_rest
@@ -118,15 +122,18 @@ def packed(
 
 
 def _with_own_error(model: Model, run: Run, nominal: NominalPart) -> Model:
-    """With the torque that the model leaves of its own recordings: where it leaves no more of others, nothing has changed."""
+    """With the torque that the model leaves of its own recordings, and how far that is beyond their sensors' noise: where it leaves no more
+    of others, nothing has changed."""
     if model.effort == "compensated_torque":
         return model
-    left = nominal.left_of_own
+    left, excess = nominal.left_of_own, nominal.excess_of_own
     if left is None:
-        own = Recordings(run.meta, tuple(run.survey.sample))
-        rms = rms_left(model, in_time(own, model, run.survey.low_pass, model.provenance["taken_out"]).trials)
+        own = in_time(Recordings(run.meta, tuple(run.survey.sample)), model, run.survey.low_pass, model.provenance["taken_out"])
+        rms = rms_left(model, own.trials)
         left = tuple(float(x) if np.isfinite(x) else None for x in rms)
-    return replace(model, provenance={**model.provenance, "left_of_own_Nm": list(left)})
+        with suppress(RecordingError):  # too short to be diagnosed
+            excess = tuple(map(float, excess_left(model, own))) if any(map(moves, own)) else ()
+    return replace(model, provenance={**model.provenance, "left_of_own_Nm": list(left), "excess_of_own": list(excess)})
 
 
 def stopped(found: Identification, stops: Sequence[Recording], progress: Progress) -> Identification:

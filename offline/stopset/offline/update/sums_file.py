@@ -128,6 +128,7 @@ def _unpacked(head: Mapping[str, Any], arrays: Arrays, model: Model) -> Retained
         friction_covariance=model.provenance.get("friction_covariance", {}),
         left_open=np.array(model.provenance.get("left_open", []), float),
         left_of_own=tuple(model.provenance.get("left_of_own_Nm", ())),
+        excess_of_own=tuple(model.provenance.get("excess_of_own", ())),
     )  # fmt: skip
     meta = meta_of(head["meta"])
     dt = float(head["dt"])

@@ -38,8 +38,12 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     measured against the robot description and data sheet.  Other recordings are measured against the model.
     """
     described = model.robot.as_described
-    if own(model, recordings.meta):
-        return Baseline(described, None, DESCRIBED)
+    return Baseline(described, None, DESCRIBED) if own(model, recordings.meta) else of_model(model)
+
+
+def of_model(model: Model) -> Baseline:
+    """What other recordings than a model's own are measured against."""
+    described = model.robot.as_described
     drives = tuple(replace(d, rotor_inertia=float(r)) for d, r in zip(model.robot.drives, model.rotor, strict=True))
     friction, error = np.zeros((model.n, 2)), np.zeros((model.n, 2))
     for f in model.effects:
@@ -51,7 +55,10 @@ def baseline(model: Model, recordings: Recordings) -> Baseline:
     gain, std, notes = drive_gain(described, robot, model.domain.q)
     left_open = np.array(model.provenance.get("left_open", []), float)
     left = np.array(model.provenance.get("left_of_own_Nm", []), float)
-    return Baseline(robot, Known(friction, error, gain, std, left_open=left_open, own=left), "identified model", notes)
+    excess = np.array(model.provenance.get("excess_of_own", []), float)
+    return Baseline(
+        robot, Known(friction, error, gain, std, left_open=left_open, own=left, own_excess=excess), "identified model", notes
+    )
 
 
 def own(model: Model, meta: Meta) -> bool:

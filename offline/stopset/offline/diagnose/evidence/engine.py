@@ -54,6 +54,7 @@ class Engine:
     rotor_scales: tuple[float, ...]
     left_open: Array  # (13 n, k) links, rotors, friction along what a model left open of itself; its columns are the base's last
     as_before: NDArray[np.bool_]  # (n,) joints where a model holds as well as of its own recordings
+    hidden_before: Array  # (n,) variance over the sensors' noise that a model's own recordings may have held unnoticed
     chosen: frozenset[tuple[str, tuple[int, ...]]]  # effects and joints of what identification chose in these recordings
     lag_std: float  # [s] how far off the lag is that was taken out of all joints' torque before; 0: none was
     mass_tolerance: float  # relative, of the description's masses
@@ -122,6 +123,7 @@ class Engine:
             (1.0,) if known else limit.ROTOR_SCALES,
             left_open,
             known.as_before if known else np.zeros(n, bool),
+            known.hidden_before if known else np.full(n, np.inf),
             frozenset(
                 (e, tuple(data.joints.index(j) for j in at.split("+") if j))
                 for e, _, at in (x.partition(":") for x in before.chosen)

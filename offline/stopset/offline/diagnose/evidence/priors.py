@@ -21,7 +21,8 @@ class Known:
     from day to day, relative; ``gain``, ``gain_std``: recorded over true torque, common to the drives; ``scales``: how far the
     rigid body may be off, as `SCALES` of the thresholds; ``left_open`` (13 n, k): what the model's own recordings left open of it, see
     `stopset.offline.nominal.parameter_uncertainty.left_open`; ``own`` (n,) [N m]: torque that the model leaves of its own recordings, nan
-    where it does not say, and ``now`` (n,): of those that are asked.
+    where it does not say, and ``now`` (n,): of those that are asked;
+    ``own_excess`` (n,): residual variance over the sensors' noise of its own recordings, where the model says it.
     """
 
     friction: Array
@@ -33,6 +34,7 @@ class Known:
     left_open: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own: Array = field(default_factory=lambda: np.zeros(0))
     now: Array = field(default_factory=lambda: np.zeros(0))
+    own_excess: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def deviation(self) -> Array:
@@ -45,6 +47,12 @@ class Known:
         if self.own.shape != self.now.shape or not len(self.own):
             return np.zeros(len(self.friction), bool)
         return np.asarray(self.now <= limit.AS_BEFORE * self.own)
+
+    @property
+    def hidden_before(self) -> Array:
+        """(n,) variance over the sensors' noise that its own recordings may have held unnoticed; inf where the model does not say."""
+        n = len(self.friction)
+        return np.maximum(self.own_excess, limit.SENSORS) - 1.0 if len(self.own_excess) == n else np.full(n, np.inf)
 
 
 @dataclass(frozen=True, slots=True)
