@@ -3,9 +3,10 @@
     python benchmarks/added_unseen.py FOLDER...
 
 FOLDER: ``robot.urdf`` and recordings, divided as in `real_robots.py`.  The fitted part is identified and diagnosed; then its nominal model is
-fitted again with the numbers of each effect that is named given, and of all together, and with what `identify` gives the laws that it chose
-itself, given; at joints of which these say nothing its laws stay, as with `add`.  A star: the model has it already.  No gate of `add` is
-asked and no set identified.  Printed: error [N m] at the effect's joints and, summed, of the whole arm, on what was not fitted.
+fitted again with the numbers of each effect that is named given, and of all together (also with the model's own for those that it has), and
+with what `identify` gives the laws that it chose itself, given; at joints of which these say nothing its laws stay, as with `add`.  A star: the
+model has it already.  No gate of `add` is asked and no set identified.  Printed: error [N m] at the effect's joints and, summed, of the whole arm,
+on what was not fitted.
 """
 
 from __future__ import annotations
@@ -61,8 +62,10 @@ def asked(folder: Path) -> None:
     has = {f.label for f in own}
     new = [f for f in named if f.label not in has]
     each = [(f"{f.label}{'*' * (f.label in has)}", [f]) for f in named]
+    regressed = {f.label: f for f in own}
     for name, known in [
         ("all that is named", named),
+        ("all that is named, the model's own with its numbers", [regressed.get(f.label, f) for f in named]),
         ("all that the model has not", new),
         *each,
         *((f"own {f.label}", [f]) for f in own),
