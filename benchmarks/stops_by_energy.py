@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from stops_soundness import Case, cases
 
-from stop_sampling import point_motion, sample_stops
-from stopset.reach.stops.cartesian import SLICES, slices
+from stop_sampling import sample_stops, tool_travel
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
 from stopset.reach.stops.tubes import tubes_of
@@ -55,9 +54,7 @@ def one_state(name: str, case: Case, state: int) -> Compared | None:
         return None
 
     def tool(tubes: list[Tube]) -> float:
-        return max(
-            point_motion(s.plant.chain, q, start.q_radius, slices(t, SLICES), n - 1, s.payload_com, s.swiftness)[0] for t in tubes
-        )
+        return max(tool_travel(s, q, start.q_radius, t) for t in tubes)
 
     x = sample_stops(s.plant, q, dq, start.q_radius, start.dq_radius, s.payload_com, tube, STOPS // 2, state, STOPS // 2)
     worst, fast = np.maximum(np.maximum(x.forward, x.back), 1e-9), np.abs(dq) > SHARE * case.top

@@ -34,13 +34,12 @@ from stop_sampling import (
     U,
     compare,
     hold,
-    point_motion,
     sample_stops,
     stops_of,
     tightness,
+    tool_travel,
 )
 from stopset.reach.stops.bounds import StopBounds
-from stopset.reach.stops.cartesian import SLICES, slices
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK, Tube
@@ -132,7 +131,7 @@ def one_state(s: Setting, q: Array, dq: Array, top: Array, stops: int, seed: int
     if tube.end != OK:
         return None
     at = Measured(q, dq, r, v)
-    far = point_motion(s.plant.chain, q, r, slices(tube, SLICES), n - 1, s.payload_com, s.swiftness)[0]
+    far = tool_travel(s, q, r, tube)
     random = sample_stops(s.plant, *at, s.payload_com, tube, DIRECTED, seed)
     bred = sample_stops(s.plant, *at, s.payload_com, tube, DIRECTED, seed, stops)
     columns = [tightness(tube, far, x, dq, top, FAST) for x in (random, bred)]

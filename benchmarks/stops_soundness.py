@@ -31,11 +31,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from stop_arms import prbt_like, uncertain_rotors, ur5_like
 from stop_arms_wide import arms, random_arm
 
-from stop_sampling import point_motion, sample_stops, tightness
+from stop_sampling import sample_stops, tightness, tool_travel
 from stopset.artifact import Model
 from stopset.core.library import ffi, lib
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.cartesian import SLICES, slices
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.start import Start
 from stopset.reach.stops.tube import OK
@@ -122,7 +121,7 @@ def one_state(name: str, case: Case, seen: dict[str, Any], box: bool) -> None:
         return
     seen["certified"] += 1
     seen["energy"] += int(tube.energetic)
-    tcp = point_motion(s.plant.chain, q, r, slices(tube, SLICES), n - 1, s.payload_com, s.swiftness)[0]
+    tcp = tool_travel(s, q, r, tube)
     stops = int(np.clip(PER_STATE * LASTS / tube.t[-1], AT_LEAST, PER_STATE))
     x = sample_stops(s.plant, q, dq, r, v, s.payload_com, tube, stops - stops // 2, int(rng.integers(2**62)), stops // 2)
     seen["stops"] += x.stops

@@ -12,7 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stopset.reach.stops.cartesian import Slices, reached
+from stopset.reach.stops.cartesian import SLICES, Slices, reached, slices
+from stopset.reach.stops.setting import Setting
+from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.tube import Plant, Tube
 from stopset.reach.stops.tubes import stopped_after
 from stopset.robot.rigid import Chain, link_frames, mass_matrix
@@ -34,6 +36,13 @@ def point_motion(
     """How far [m] and how fast [m/s] one point of a link of this `swiftness` can get, and the box (3, 2) [m] of its displacements."""
     (found,) = reached(chain, q, q_radius, parts, [link], [point], np.array([swift]))
     return found.far, found.fast, found.box
+
+
+def tool_travel(s: Setting, q: Array, q_radius: Array, tube: Tube) -> float:
+    """How far [m] the tool can get in a tube, as bounds say it."""
+    link = len(q) - 1
+    cut, swift = slices(tube, SLICES), swiftness(s.plant, link, s.payload_com)
+    return point_motion(s.plant.chain, q, q_radius, cut, link, s.payload_com, swift)[0]
 
 
 class Samples(NamedTuple):

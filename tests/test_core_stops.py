@@ -22,6 +22,7 @@ from stopset.reach.stops.parts import ALL_PARTS
 from stopset.reach.stops.ramp import Ramp
 from stopset.reach.stops.split import _blurred
 from stopset.reach.stops.start import Start
+from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.tube import ENDLESS, OK, UNBOUNDED, Plant, Stride, Tube, march
 from stopset.reach.stops.tubes import FAST_KNOTS, march_box, tubes_of
 from stopset.robot.rigid import mass_matrix
@@ -240,7 +241,7 @@ def test_a_point_whose_ways_are_not_known_has_the_sets_of_its_box() -> None:
     unknown = reached(s.plant.chain, q, r, cut._replace(left=np.full_like(cut.left, np.inf)), [5], [s.payload_com])[0]
     for a, b in zip(none, unknown, strict=True):
         assert np.array_equal(a, b)
-    swift = np.array([s.swiftness])
+    swift = np.array([swiftness(s.plant, len(q) - 1, s.payload_com)])
     slow = reached(s.plant.chain, q, r, cut, [5], [s.payload_com], swift)[0]
     unpaid = reached(s.plant.chain, q, r, cut._replace(path=None), [5], [s.payload_com], swift)[0]
     assert slow.far <= unpaid.far == reached(s.plant.chain, q, r, cut, [5], [s.payload_com])[0].far

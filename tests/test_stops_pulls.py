@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stop_sampling import DT, Measured, draws, point_motion, sample_stops
+from stop_sampling import DT, Measured, draws, point_motion, sample_stops, tool_travel
 from stopset.artifact import Model
 from stopset.reach.stops import StopBounds
-from stopset.reach.stops.cartesian import SLICES, Slices, slices
+from stopset.reach.stops.cartesian import Slices
 from stopset.reach.stops.parts import ALL_PARTS, Parts
 from stopset.reach.stops.setting import Setting
 from stopset.reach.stops.start import Start
@@ -47,7 +47,7 @@ def test_sampled_stops_stay_inside(make) -> None:  # type: ignore[no-untyped-def
     for seed in range(3):
         q, dq, tube = tube_from(s, seed)
         assert tube.end == OK
-        far = point_motion(s.plant.chain, q, s.noise.radius[:n], slices(tube, SLICES), n - 1, s.payload_com, s.swiftness)[0]
+        far = tool_travel(s, q, s.noise.radius[:n], tube)
         x = sample_stops(s.plant, q, dq, s.noise.radius[:n], s.noise.radius[n:], s.payload_com, tube, 100, seed)
         assert x.escaped == 0 and x.tcp <= far
 
@@ -100,8 +100,8 @@ def test_a_point_stays_within_what_is_left() -> None:
     q, lo, hi = rng.uniform(-2.0, 2.0, n), np.full((1, n), -0.05), np.full((1, n), 0.1)
     left = rng.uniform(0.1, 0.5, (1, n))
     anywhere = Slices(np.array([0.0, 1.0]), np.full((1, n), -3.0), np.full((1, n), 3.0), 0.0 * lo, 0.0 * hi, lo, hi, left)
-    far, _, box = point_motion(chain, q, np.zeros(n), anywhere, n - 1, s.payload_com, s.swiftness)
-    none, _, _ = point_motion(chain, q, np.zeros(n), anywhere._replace(left=0.0 * left), n - 1, s.payload_com, s.swiftness)
+    far, _, box = point_motion(chain, q, np.zeros(n), anywhere, n - 1, s.payload_com)
+    none, _, _ = point_motion(chain, q, np.zeros(n), anywhere._replace(left=0.0 * left), n - 1, s.payload_com)
     start, worst = _point(chain, q, s.payload_com), 0.0
     for k in range(4000):
         d = np.where(rng.random(n) < 0.5, lo[0], hi[0])

@@ -100,7 +100,7 @@ def test_the_energy_holds_the_tool_where_wrists_go_far_and_no_stop_gets_out() ->
         start = Start(q, dq, s.noise.radius[:n], s.noise.radius[n:])
         tube = march_box(s, s.plant, start, energetic=True)
         ask = s.plant.chain, q, start.q_radius, slices(tube, SLICES), [n - 1], [s.payload_com]
-        joints, paid = reached(*ask)[0], reached(*ask, np.array([s.swiftness]))[0]
+        joints, paid = reached(*ask)[0], reached(*ask, np.array([swiftness(s.plant, len(q) - 1, s.payload_com)]))[0]
         ratios.append(paid.far / joints.far)
         pace.append(paid.fast / joints.fast)
         found = sample_stops(s.plant, q, dq, start.q_radius, start.dq_radius, s.payload_com, tube, 60, k)

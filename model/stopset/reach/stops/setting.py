@@ -14,7 +14,6 @@ from stopset.errors import NotCovered
 from stopset.reach.stops.brakes import brakes_of
 from stopset.reach.stops.friction import FRICTION_TOLERANCE, Friction, Torques, described, misread_shares, misreadings, torques_of
 from stopset.reach.stops.payload import bodies, weighed
-from stopset.reach.stops.swiftness import swiftness
 from stopset.reach.stops.tube import Plant, plant_struct
 from stopset.robot.rigid import mass_matrix
 from stopset.sets import Box
@@ -83,11 +82,6 @@ class Setting:
     def shares(self) -> Array:
         """(n,) see `misread_shares`."""
         return misread_shares(self.model)
-
-    @property
-    def swiftness(self) -> float:
-        """[kg^-1/2] of the tool, see `swiftness`."""
-        return swiftness(self.plant, self.model.n - 1, self.payload_com)
 
     @property
     def payloads(self) -> int:

@@ -177,10 +177,10 @@ int stopset_point_sets(const StopsetArm *arm, const double *q, const double *q_r
         out->pace_ball[s] = curved(middle.reach, middle.wide, fast, link);
         if (before.span < now.span) now = before;
         if (paid) {
-            const double way = point->swiftness * slices->path[s] * (1.0 + 1e-12), speed = point->swiftness * slices->energy[s];
-            if (flown.span + way < now.span) {
+            const double travel_since = point->swiftness * slices->path[s] * (1.0 + 1e-12), speed = point->swiftness * slices->energy[s];
+            if (flown.span + travel_since < now.span) {
                 now = flown;
-                now.ball += way;
+                now.ball += travel_since;
             }
             if (speed < span_of(pace, m, link, out->pace_ball[s])) {
                 memset(pace, 0, (size_t)(3 * m) * sizeof *pace);
