@@ -20,6 +20,7 @@ from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.columns.laws import MOVING, TRANSMITTED, columns, of_the_load
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.examination import examine
+from stopset.offline.diagnose.search.wanted import wanted
 from stopset.recording import Recordings
 from stopset.robot import Robot
 from stopset.robot.arm import standard_parameters
@@ -131,10 +132,12 @@ def test_numbers_of_a_law_are_of_gravity_s_load_whatever_form_says_more(loaded: 
     assert "all that the gear transmits" in found.says and "gravity's load alone" in found.says
 
 
-def test_a_model_s_own_law_of_the_load_has_what_moves_the_arm_beside_it(loaded: tuple[Robot, Recordings]) -> None:
+def test_what_a_model_s_own_law_of_the_load_leaves_is_no_other_law(loaded: tuple[Robot, Recordings]) -> None:
     """What gravity's form leaves of a UR10e's elbow was named as a second law of the load beside 2.8 kg that were mounted."""
     robot, data = loaded
     own = (Fitted("load_coulomb", "lift", {"k_lift": 0.08, "k_lower": 0.08}, {}),)
     x = examine(robot, data, own)
-    forms = [dict(c.shapes) for c in x.already.active if c.effect.name == "load_coulomb"]
-    assert forms == [{}, {MOVING: 1.0}] and x.ranked == ()
+    asked = {(e.name, place) for e, place, shapes in wanted(x.engine, None, x.already.active) if TRANSMITTED in shapes}
+    assert x.ranked == () and asked == {
+        (name, (j,)) for name in ("load_coulomb", "quadratic_load") for j in range(3) if x.engine.loaded((j,)) and j != 1
+    }

@@ -13,7 +13,7 @@ from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.alike import alike
 from stopset.offline.diagnose.answer import Parameter, Ranked
-from stopset.offline.diagnose.columns.laws import MOVING, TRANSMITTED, of_the_load
+from stopset.offline.diagnose.columns.laws import MOVING, TRANSMITTED
 from stopset.offline.diagnose.evidence.baseline import of_model
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -123,11 +123,9 @@ def _with_own(now: Hypothesis, fitted: Sequence[Fitted]) -> Hypothesis:
             shapes = {"d0": lag} if lag else {}
         elif effect.role == "swing":
             shapes |= {"exact": 1.0, "begun": 1.0}
-        # what a model's law of gravity's load leaves of all that the gear transmits is no other law
-        for form in (shapes, *([{MOVING: 1.0}] if of_the_load(effect) else [])):
-            candidate = engine.add(effect, place, form)
-            if candidate is not None:
-                now = now.plus(candidate)
+        candidate = engine.add(effect, place, shapes)
+        if candidate is not None:
+            now = now.plus(candidate)
     return now
 
 
