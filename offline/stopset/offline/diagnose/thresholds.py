@@ -306,8 +306,8 @@ SETTLED = (
     Threshold("ROTOR_SHIFT", "prior deviation of an inertia that is not the data sheet's, of the one stated", "%",
               "chosen"),
     Threshold("PRIOR_SHARE", "prior deviation of an effect's torque, of its joint's friction", "%", "chosen: neither tiny nor dominant"),
-    Threshold("MANY", "terms from which on a law's prior may be wider or smaller as a whole, as one of a law with levers may", "",
-              "ten vague priors would cost a small payload 40 points; a gas spring of 19 N m beside 4 N m of friction lost 47 and was a cable"),
+    Threshold("MANY", "terms from which on a law's prior may be wider or smaller as a whole", "",
+              "ten vague priors would cost a small payload 40 points"),
     Threshold("SIZES", "sizes of that prior; each is charged for the choice", "",
               "chosen: the grid that evidence chooses from; with none above 1 a load of 2.805 kg, asked of its own recording against the "
               "description, was 0.80 kg, at most 2.55 kg; numbers are never of one below 1"),

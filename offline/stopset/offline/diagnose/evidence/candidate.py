@@ -37,19 +37,6 @@ class Candidate:
         return self.shapes.get("d0") if self.effect.enters == "input_delay" else None
 
     @property
-    def geometric(self) -> bool:
-        """Whether a law has a place and levers of its own, and refines a plainer one."""
-        return bool(self.effect.shapes and self.effect.refines)
-
-    @property
-    def roomy(self) -> bool:
-        """Whether its prior may be wider or smaller as a whole: of many terms, or of a force that may carry the arm, many times its friction.
-
-        A prior of a share of the friction would draw that force towards none, and the levers to where less of it does as much.
-        """
-        return len(self.effect.terms) >= limit.MANY or self.geometric
-
-    @property
     def price(self) -> float:
         """Evidence that finely sought shapes cost: a lag, with its prior at this value, and a gear's stiffness and damping."""
         if self.given is not None:
@@ -95,8 +82,8 @@ class Alike:
 
     @staticmethod
     def of(candidates: Sequence[Candidate], which: Sequence[int]) -> tuple[list[Alike], list[int]]:
-        """Those ``which`` are alike in that, and the others: given ones, and roomy ones."""
-        own = [k for k in which if candidates[k].given is not None or candidates[k].roomy]
+        """Those ``which`` are alike in that, and the others: given ones, and laws of `limit.MANY` terms."""
+        own = [k for k in which if candidates[k].given is not None or len(candidates[k].effect.terms) >= limit.MANY]
         groups: dict[int, list[int]] = {}
         for k in sorted(set(which) - set(own)):
             groups.setdefault(len(candidates[k].effect.terms), []).append(k)
@@ -125,7 +112,7 @@ def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
     if c.given is not None:
         value = float(2 * c.given * s[0] - c.given**2 * S[0, 0] - c.price)
         return value, np.array([c.given]), np.zeros((1, 1))
-    if c.roomy:
+    if len(terms) >= limit.MANY:
         precision = 1.0 / (np.array(limit.SIZES)[:, None] * c.sd) ** 2
         m, k = precision.shape
         values, thetas, covs = gains(np.broadcast_to(S, (m, k, k)), np.broadcast_to(s, (m, k)), precision)

@@ -31,7 +31,7 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
     Of a load against a description alone it is that of all scales of the description's errors, each as likely as it is, none below the
     description's own: a fit that leaves little tells that its links agree with each other, not with the truth.
     """
-    out = _deviations(now, hyper, theta, claims)
+    out = fitted_deviations(now, hyper, theta, claims, 1.0)
     carried = [k for k, c in enumerate(claims) if c.effect.carried]
     if now.engine.modelled or not carried:
         return out
@@ -44,7 +44,7 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
         if share < limit.EDGE:
             continue
         x = now.view().project(h)[0].theta
-        for k, d, total in zip(carried, _deviations(now, h, x, [claims[k] for k in carried]), variance, strict=True):
+        for k, d, total in zip(carried, fitted_deviations(now, h, x, [claims[k] for k in carried], 1.0), variance, strict=True):
             for t, at in zip(claims[k].effect.terms, (place[c] for c in claims[k].cols.tolist()), strict=True):
                 total[t.symbol] += share * (d[t.symbol] ** 2 + float(x[at] - theta[at]) ** 2)
     for k, total in zip(carried, variance, strict=True):
@@ -52,8 +52,13 @@ def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Can
     return out
 
 
-def _deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Candidate]) -> list[dict[str, float]]:
-    """`deviations` at one scale of the description's errors."""
+def fitted_deviations(
+    now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Candidate], described: float = 0.0
+) -> list[dict[str, float]]:
+    """`deviations` at one scale of the description's errors; ``described``: how far its masses may all be off alike, of their tolerance.
+
+    Whether there is a load is decided by what the fit itself says: the arm is heavier at its flange than described, or all of it is.
+    """
     engine, view = now.engine, now.view()
     place = {column: k for k, column in enumerate(now.nuisance.tolist())}
     grams, precision, shapes = list(view.engine.grams), [view.precision(hyper)], []
@@ -88,7 +93,11 @@ def _deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Ca
             off = engine.source.gain_std if engine.modelled else limit.DRIVES
             # nor than the description's masses, which may all be off alike: links whose errors are independent of each other deny that
             links = [place[k] for k in engine.cad.tolist()]
-            alike = 0.0 if engine.modelled else engine.mass_tolerance * inverse[:, links] @ (P[links] * engine.robot.pi.ravel())
+            alike = (
+                0.0
+                if engine.modelled
+                else described * engine.mass_tolerance * inverse[:, links] @ (P[links] * engine.robot.pi.ravel())
+            )
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 a = np.zeros(len(full))
                 a[place[k]] = 1.0

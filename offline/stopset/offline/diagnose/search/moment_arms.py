@@ -30,7 +30,7 @@ def geared(settled: list[Settled], now: Hypothesis, hyper: Hyper) -> list[Settle
 
     def sought(x: Settled, least: Hyper) -> Settled:
         c = x.candidate
-        falls = c.geometric and any(hyper.kappa[j] > FALLS * least.kappa[j] for j in c.joints)
+        falls = _geometric(c) and any(hyper.kappa[j] > FALLS * least.kappa[j] for j in c.joints)
         return _sought_again(now, x, least) if falls else x
 
     for _ in range(SEARCHES):
@@ -102,7 +102,7 @@ def distinct(finer: Settled, settled: Sequence[Settled]) -> bool:
     say more.  A curve that pushes somewhere, or bends as its own law cannot, is none of a spring's forms.
     """
     c = finer.candidate
-    if not (c.geometric and finer.possible and finer.inside):
+    if not (_geometric(c) and finer.possible and finer.inside):
         return False
     plainer = [x.evidence + x.taken_up for x in settled if refines(c, x.candidate) and x.possible]
     others = [x.evidence for x in settled if _other_form(c, x.candidate) and x.inside and x.pulls]
@@ -112,3 +112,8 @@ def distinct(finer: Settled, settled: Sequence[Settled]) -> bool:
 def _other_form(a: Candidate, b: Candidate) -> bool:
     """Whether two laws refine the same plainer one, at the same joints."""
     return a.key != b.key and a.joints == b.joints and bool(set(a.effect.refines) & set(b.effect.refines))
+
+
+def _geometric(c: Candidate) -> bool:
+    """Whether a law has a place and levers of its own, and refines a plainer one."""
+    return bool(c.effect.shapes and c.effect.refines)

@@ -99,7 +99,8 @@ def _as_described(now: Hypothesis, candidate: Candidate, before: HeldOut, hyper:
     Links that may be anything take up a gas spring over half a radian: what it explains shows in no other motion then, but in the description.
     Of a straight piece of a law, or of a curve that bends as it likes, that may be the description's error as well.
     """
-    if not candidate.geometric or not hyper.scale <= 1.0 < before.scale:
+    geometric = candidate.effect.shapes and candidate.effect.refines
+    if not geometric or not hyper.scale <= 1.0 < before.scale:
         return before
     same, _ = now.refit(replace(hyper, forms=()))
     return held_out(now, same)

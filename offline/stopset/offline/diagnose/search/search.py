@@ -61,7 +61,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     ``progress`` is given each claim as it is made.
     """
     engine = start.engine
-    candidates = engine.add_all(wanted(engine, names, start.active))
+    candidates = engine.add_all(wanted(engine, names))
     ripple = next((e for e in catalogue().values() if e.periodic and (names is None or e.name in names)), None)
     ripples = Ripples(engine, ripple) if ripple else None
     now = start

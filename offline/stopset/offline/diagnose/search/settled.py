@@ -100,8 +100,8 @@ def added(now: Hypothesis, candidate: Candidate) -> Candidate:
 
 
 def _roomy(now: Hypothesis, c: Candidate, hyper: Hyper) -> Candidate:
-    """A law with its prior as wide as evidence wants it, where it may be: the usual one draws a heavy load towards none at all."""
-    if not c.roomy:
+    """A law of many terms with its prior as wide as evidence wants it: the usual one draws a heavy load towards none at all."""
+    if len(c.effect.terms) < limit.MANY:
         return c
     wide = [replace(c, sd=size * c.sd) for size in limit.SIZES if size >= 1.0]
     return max(wide, key=lambda x: now.plus(x).evidence(hyper))

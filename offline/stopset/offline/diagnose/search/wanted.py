@@ -9,8 +9,6 @@ import numpy as np
 
 from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.columns.laws import TRANSMITTED, of_the_load
-from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper
 
@@ -19,12 +17,9 @@ LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
 
-def wanted(engine: Engine, names: Sequence[str] | None = None, own: Sequence[Candidate] = ()) -> list[Wanted]:
-    """All effects of the catalogue at all joints these data can speak of, with the start values of their shapes.
-
-    ``own``: the model's; what one of its laws of gravity's load leaves of all that the gear transmits is no other law.
-    """
-    n, loads = engine.data.n, {c.joints for c in own if of_the_load(c.effect)}
+def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
+    """All effects of the catalogue at all joints these data can speak of, with the start values of their shapes."""
+    n = engine.data.n
     out: list[Wanted] = []
     for effect in catalogue().values():
         if not asked(effect, names) or effect.periodic or effect.acting == "through a lag" or not askable(engine, effect):
@@ -39,8 +34,6 @@ def wanted(engine: Engine, names: Sequence[str] | None = None, own: Sequence[Can
         if effect.loaded:
             places = [p for p in places if engine.loaded(p)]
         places = [p for p in places if not engine.drowned(effect, p)]
-        if of_the_load(effect):
-            out.extend((effect, place, {TRANSMITTED: 1.0}) for place in places if engine.loaded(place) and place not in loads)
         grids = [s.grid for s in effect.shapes]
         for place in places:
             if effect.enters == "input_delay":
