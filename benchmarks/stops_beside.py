@@ -5,7 +5,7 @@
 LIBRARY: the core before, a copy of its file. Measured states and boxes of +-0.01 rad and +-0.05 rad/s in turn, of the arms of
 `stop_arms_wide.py`, loads from `--least` of the rated one to all of it. Both answer the same question one after the other, each in a
 process of its own, in changing order. Prints of each arm the processor time of this core over that of the other, and the ratios of the
-largest angle, the largest time and the tool's way: median, least, largest.
+largest angle, the largest time, the tool's way and its speed: median, least, largest.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def answer(least: float) -> None:
         begin = time.thread_time_ns()
         found = cores[name].bound(np.array(q), np.array(dq), "0", *radii)
         took = (time.thread_time_ns() - begin) / 1e6
-        said = None if found is None else [max(found.forward.max(), found.back.max()), found.time.max(), found.tool[0]]
+        said = None if found is None else [max(found.forward.max(), found.back.max()), found.time.max(), *found.tool]
         sys.stdout.write(json.dumps([took, said]) + "\n")
         sys.stdout.flush()
 
@@ -86,7 +86,7 @@ def main() -> None:
         )
     pair, every = [Asked(None, args.least), Asked(args.library, args.least)], []
     print(
-        "over the library before: processor time; angle; time; tool's way: median, least, largest; bounds that one of both lacks"
+        "over the library before: processor time; angle; time; tool's way; its speed: median, least, largest; bounds that one of both lacks"
     )
     for name in asked:
         model, top = arms()[name]
