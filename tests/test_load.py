@@ -91,6 +91,12 @@ def test_how_far_an_inertia_was_moved_counts_to_its_error() -> None:
     )  # a user asked what a load is that takes nothing off the error
     assert "masses, fitted again, carry it as well" in alone and "description alone" in alone
     assert "carry it" not in says(payload, stated, stated, described=True, lowered=0.5)
+    for sign, told in (
+        (1.0, "2.93 kg (95 %: 0.00 to 6.85 kg)"),
+        (-1.0, "-2.93 kg (95 %: -6.85 to 0.00 kg)"),
+    ):  # no load weighs less than none
+        vague = {k: Parameter(sign * p.value, p.unit, 2.0) for k, p in fitted.items()}
+        assert told in says(payload, vague, vague, described=True, lowered=0.5)
     spring = get("spring")
     one = {"k": Parameter(3.0, "N m/rad", 0.1)}
     assert of_a_body(spring, one) is one and says(spring, one, one, described=False, lowered=0.5) == spring.says

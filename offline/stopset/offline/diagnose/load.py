@@ -72,7 +72,10 @@ def says(
     if m is None or m.std is None:
         return effect.says
     half = TWO_SIDES * m.std
-    text = f"{effect.says} {m.value:.2f} kg (95 %: {m.value - half:.2f} to {m.value + half:.2f} kg)"
+    lo, hi = m.value - half, m.value + half
+    if lo < 0.0 < hi:  # that it is there, or gone, is known by itself: the description's masses decide how much it is
+        lo, hi = (0.0, hi) if m.value > 0.0 else (lo, 0.0)
+    text = f"{effect.says} {m.value:.2f} kg (95 %: {lo:.2f} to {hi:.2f} kg)"
     alone = (CARRIED_BY_LINKS if lowered < limit.STANDS_OUT else "") + WEIGHED_ALONE if described else ""
     if abs(m.value) < half:
         return f"{text}.{alone}"
