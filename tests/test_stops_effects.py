@@ -339,7 +339,7 @@ def test_no_tube_is_made_twice_with_the_same_friction(monkeypatch: pytest.Monkey
     found = tubes.march_box(s, s.plant, start, energetic=False, region=r)
     assert len(made) == 1 and found.end == OK and r.known and np.all(r.travel > 1e-9)
     again = tubes.march_box(s, s.plant, start, energetic=False, region=Region(r.travel, r.speed, known=True))
-    assert all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in zip(found, again, strict=True))
+    assert all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in zip(found[:-1], again[:-1], strict=True))
 
 
 def test_an_added_payload_counts_once_for_everyone() -> None:
