@@ -21,7 +21,6 @@ from stopset.robot.rigid import Chain, link_frames, mass_matrix
 from stopset.types import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from stop_arms import prbt_like
 from stop_arms_wide import arms
 
 HEAVY = "random arm of 7 joints, 1"
@@ -92,7 +91,7 @@ def test_what_no_body_can_be_says_nothing() -> None:
 
 
 def test_the_energy_holds_the_tool_where_wrists_go_far_and_no_stop_gets_out() -> None:
-    """On the arm on which joints tell least of the tool: its way by less than half, its speed by a tenth of what joints alone tell."""
+    """On the arm on which joints tell least of the tool: its way is less than 0.75 times, its speed less than a tenth of what joints alone tell."""
     s, top = setting(HEAVY, 1.0)
     rng, n, ratios, pace = np.random.default_rng(5), s.model.n, [], []
     for k in range(3):
@@ -105,19 +104,18 @@ def test_the_energy_holds_the_tool_where_wrists_go_far_and_no_stop_gets_out() ->
         pace.append(paid.fast / joints.fast)
         found = sample_stops(s.plant, q, dq, start.q_radius, start.dq_radius, s.payload_com, tube, 60, k)
         assert found.escaped == 0 and found.tcp <= paid.far
-        # what the energy takes away is not nothing: a stop gets farther than half of what is left
-        assert found.tcp > 0.05 * paid.far
     assert max(ratios) < 0.75 and max(pace) < 0.1
 
 
 def test_a_loop_and_the_core_count_with_the_same_swiftness() -> None:
-    model = prbt_like()
-    bounds = StopBounds.of(model, (0.0, model.domain.payload[1]), fast=True)
-    assert bounds.setting is not None
-    rng = np.random.default_rng(2)
-    core, n = CompiledStops.of(bounds.setting), model.n
-    for _ in range(4):
-        q, dq = rng.uniform(-1.0, 1.0, n), rng.uniform(-1.0, 1.0, n) * model.domain.dq.hi
+    """Where the energy bounds the stop and swiftness decides: of a load that is known, and of parts of a range."""
+    model, top = arms()[HEAVY]
+    rated, rng, n = model.domain.payload[1], np.random.default_rng(2), model.n
+    for least in (1.0, 0.5):
+        bounds = StopBounds.of(model, (least * rated, rated), fast=True)
+        assert bounds.setting is not None
+        core = CompiledStops.of(bounds.setting)
+        q, dq = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1.0, 1.0, n) * top
         a, b = core.bound(q, dq), bounds.bound(q, dq)
-        assert a is not None and b.tcp is not None
+        assert a is not None and b.tcp is not None and b.layer == "energy"
         assert a.tool[0] == b.tcp and a.tool[1] == b.tcp_speed

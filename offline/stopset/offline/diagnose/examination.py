@@ -163,7 +163,10 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     scale = drives_scale(found.now, left.theta)
     numbers = [parameters(c.scored, d, scale) for c, d in zip(found.claims, deviation, strict=True)]
     objections, misfit = [], Misfit.of(found.now, left.hyper, left.theta)
-    by_fit = fitted_deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    carries = not engine.modelled and any(c.scored.candidate.effect.carried for c in found.claims)
+    by_fit = (
+        fitted_deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims]) if carries else deviation
+    )
     for claim, sure in zip(found.claims, by_fit, strict=True):
         mine = parameters(claim.scored, sure, scale)
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
