@@ -453,21 +453,8 @@ def simple_tube(steps: int) -> Tube:
     """Two joints that move on at 1 and 2 rad/s."""
     t = 0.1 * np.arange(steps + 1)
     d, v = t[:, None] * [1.0, 2.0], np.tile([1.0, 2.0], (steps + 1, 1))
-    return Tube(
-        OK,
-        t,
-        d,
-        d,
-        v,
-        v,
-        v[1:],
-        v[1:],
-        *(0 * v[1:] for _ in range(4)),
-        np.zeros(2),
-        False,
-        np.full_like(v, np.inf),
-        np.full(steps, np.inf),
-    )
+    none, free = [0 * v[1:]] * 4, np.full_like(v, np.inf)
+    return Tube(OK, t, d, d, v, v, v[1:], v[1:], *none, np.zeros(2), False, free, np.full(steps, np.inf))
 
 
 # ---- numbers at an edge of their type

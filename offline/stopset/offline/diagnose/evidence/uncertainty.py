@@ -93,20 +93,16 @@ def fitted_deviations(
             off = engine.source.gain_std if engine.modelled else limit.DRIVES
             # nor than the description's masses, which may all be off alike: links whose errors are independent of each other deny that
             links = [place[k] for k in engine.cad.tolist()]
-            alike = (
-                0.0
-                if engine.modelled
-                else described * engine.mass_tolerance * inverse[:, links] @ (P[links] * engine.robot.pi.ravel())
-            )
+            tolerance = 0.0 if engine.modelled else described * engine.mass_tolerance
+            alike = tolerance * inverse[:, links] @ (P[links] * engine.robot.pi.ravel())
             for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True):
                 a = np.zeros(len(full))
                 a[place[k]] = 1.0
                 a[place[engine.drives]] = 0.0 if engine.modelled else -theta[place[k]]
                 own = float(np.sqrt(max(a @ inverse @ a, a @ clustered @ a)))
                 deviation[t.symbol] = float(np.linalg.norm([own, off * theta[place[k]], np.sum(a * alike)]))
-        if (
-            c.effect.enters == "input_delay"
-        ):  # a lag is known no better than what its stamps mean, and what was taken out of it before
+        if c.effect.enters == "input_delay":
+            # a lag is known no better than what its stamps mean, and what was taken out of it before
             symbol = c.effect.terms[0].symbol
             stamped = [place[int(k)] for k in engine.stamps]
             by_stamps = _lag_deviation(now, deviation[symbol], theta[stamped], sd[stamped])
