@@ -47,7 +47,7 @@ def wanted(engine: Engine, names: Sequence[str] | None = None, own: Sequence[Can
             for values in itertools.product(*grids):
                 shapes = dict(zip([s.symbol for s in effect.shapes], values, strict=True))
                 if effect.role != "swing" or _swings(engine, place[0], shapes["K"]):
-                    out.extend((effect, place, shapes | form) for form in load_forms(engine, effect, place, own))
+                    out.extend((effect, place, {**shapes, **form}) for form in load_forms(engine, effect, place, own))
     return out
 
 
