@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from stopset.artifact import Model
 from stopset.effects import catalogue, get
 from stopset.effects.base import Fitted
 from stopset.offline.abstraction.nominal_part import fit_nominal
@@ -20,6 +23,7 @@ from stopset.offline.diagnose import diagnose
 from stopset.offline.diagnose.columns.laws import MOVING, TRANSMITTED, columns, of_the_load
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.examination import examine
+from stopset.offline.diagnose.levels import while_moving
 from stopset.offline.diagnose.search.wanted import wanted
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -141,3 +145,16 @@ def test_what_a_model_s_own_law_of_the_load_leaves_is_no_other_law(loaded: tuple
     assert x.ranked == () and asked == {
         (name, (j,)) for name in ("load_coulomb", "quadratic_load") for j in range(3) if x.engine.loaded((j,)) and j != 1
     }
+
+
+def test_what_a_law_of_all_transmitted_torque_has_beyond_gravity_s_is_no_change_of_a_level(
+    loaded: tuple[Robot, Recordings],
+) -> None:
+    """It was told as Coulomb friction of a shoulder that rose from 13.9 to 18.1 N m, beside the load friction that it was of."""
+    robot, _ = loaded
+    q, dq, ddq = np.random.default_rng(5).normal(size=(3, 50, robot.n))
+    law = Fitted("load_coulomb", "lift", {"k_lift": 0.08, "k_lower": 0.08})
+    found = while_moving(cast(Model, SimpleNamespace(robot=robot, joints=robot.joints)), [law], q, dq, ddq)
+    whole, gravity = torques(robot.chain, robot.pi, q, dq, ddq), gravity_torques(robot.chain, robot.pi, q)
+    expected = 0.08 * (np.abs(whole) - np.abs(gravity)) * np.sign(dq) * (np.arange(robot.n) == robot.joints.index("lift"))
+    assert found == pytest.approx(expected, abs=1e-9) and np.any(found)
