@@ -27,6 +27,7 @@ EFFECT = Effect(
     role="friction",
     source="duclusaud2025",
     looks_like=("load_coulomb", "coulomb"),
+    refines=("load_coulomb",),
     distinguished_by="Move slowly under no, half and full load: the friction rises by a third as much in the first half as in the second.",
     simulated="square tooth friction",
 )

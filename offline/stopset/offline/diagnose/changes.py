@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stopset.artifact import Model
+from stopset.effects.base import Fitted
 from stopset.effects.registry import get
 from stopset.offline.campaign.hold_out import blocks
 from stopset.offline.compare.known import Rows, rows_left
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.levels import PARTS, LevelChange, level_changes, look_alikes
+from stopset.offline.diagnose.levels import PARTS, LevelChange, level_changes, look_alikes, while_moving
 from stopset.offline.diagnose.rows.sampling import period_of
 from stopset.recording import Recording
 from stopset.types import Array
@@ -84,9 +85,12 @@ class _Judged:
         return np.asarray(np.abs(self.theta) > np.maximum(limit.CHANGE_SURE * np.hypot(self.std, c.error), c.least))
 
 
-def changes(model: Model, recordings: Sequence[Recording]) -> tuple[Change, ...]:
-    """Changes since the model was identified, the most telling first; empty where the recordings are too short to tell."""
-    left, block, found, alike, begins = _rows(model, recordings)
+def changes(model: Model, recordings: Sequence[Recording], transmitted: Sequence[Fitted] = ()) -> tuple[Change, ...]:
+    """Changes since the model was identified, the most telling first; empty where the recordings are too short to tell.
+
+    ``transmitted``: laws of the load that are of all that their gears transmit, of which the model has gravity's part.
+    """
+    left, block, found, alike, begins = _rows(model, recordings, transmitted)
     count = int(block.max()) + 1 if len(block) else 0
     if count < limit.CHANGE_TRIALS:
         return ()
@@ -218,7 +222,7 @@ def _taken(model: Model, recordings: Sequence[Recording], *, filtered: bool = Fa
 
 
 def _rows(
-    model: Model, recordings: Sequence[Recording]
+    model: Model, recordings: Sequence[Recording], transmitted: Sequence[Fitted]
 ) -> tuple[Array, np.ndarray, list[LevelChange], list[LevelChange], list[str]]:
     """Leftover torque (rows, n), nan where a joint stands, the block of each row, all levels that may have changed, the laws that look
     like them, and where blocks begin."""
@@ -226,7 +230,8 @@ def _rows(
     if x is None:
         return np.zeros((0, model.n)), np.zeros(0, np.intp), [], [], []
     levels = level_changes(model, x.q, x.dq, x.ddq, np.isfinite(x.left))
-    return x.left, x.block, levels, look_alikes(model, x.q, x.dq, x.ddq, levels), x.begins
+    left = x.left - while_moving(model, transmitted, x.q, x.dq, x.ddq)
+    return left, x.block, levels, look_alikes(model, x.q, x.dq, x.ddq, levels), x.begins
 
 
 def left_beside_friction(model: Model, recordings: Sequence[Recording]) -> Array:

@@ -153,7 +153,9 @@ def diagnose_model(
         return found, q.against
     progress("what changed since identification")
     beside = _beside_what_is_named(model, found)
-    changed = [c for c in changes(beside, [r for r in q.recordings if moves(r)]) if get(c.effect).scope != "arm"]
+    transmitted = [r.fitted for r in found.ranked if r.transmitted]
+    moving = [r for r in q.recordings if moves(r)]
+    changed = [c for c in changes(beside, moving, transmitted) if get(c.effect).scope != "arm"]
     return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
 
 

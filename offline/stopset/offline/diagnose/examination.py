@@ -13,6 +13,7 @@ from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.alike import alike
 from stopset.offline.diagnose.answer import Parameter, Ranked
+from stopset.offline.diagnose.columns.laws import MOVING, TRANSMITTED
 from stopset.offline.diagnose.evidence.baseline import of_model
 from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -29,6 +30,7 @@ from stopset.offline.diagnose.rows.prepare import ROW_STEP
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
+from stopset.offline.diagnose.search.settled import added
 from stopset.offline.diagnose.search.structures import may_sit_at
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
@@ -36,6 +38,10 @@ from stopset.robot import Robot
 from stopset.types import Array
 from stopset.words import many
 
+WHILE_MOVING = (
+    " Here it grows with all that the gear transmits, what moves the arm besides what it weighs; its numbers are of gravity's load alone, as a "
+    "model takes it."
+)
 INNER = " These errors are within the motions, whatever scale their friction has: how it scatters between them hides what this explains."
 
 
@@ -160,6 +166,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     engine = already.engine
     joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
     deviation = deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
+    by_gravity = _by_gravity(found, left)
     scale = drives_scale(found.now, left.theta)
     numbers = [parameters(c.scored, d, scale) for c, d in zip(found.claims, deviation, strict=True)]
     objections, misfit = [], Misfit.of(found.now, left.hyper, left.theta)
@@ -184,6 +191,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         own, disagree = _by_all_joints(
             found, left, claim, numbers[k]
         )  # whether there is a load is no matter of how sure its mass is
+        own = by_gravity.get(k, own)
         fitted = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in own.items()}
         given = dict(fitted if objections[k] else of_a_body(c.effect, fitted))
         why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
@@ -191,16 +199,33 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         lowered = 1.0 - float(taken.stated[1][taken.joint] / taken.stated[0][taken.joint])
         same = alike(engine, claim)
         words = says(c.effect, fitted, given, described=not engine.modelled, lowered=lowered) + disagree
+        words += WHILE_MOVING if k in by_gravity else ""
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
                 float(taken.stated[1][taken.joint]), given, c.effect.look_at, words + (INNER if taken.inner else ""),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus, at=joints[taken.joint],
-                alternatives=same.effects, alike=same.why, telling=same.experiment,
+                alternatives=same.effects, alike=same.why, telling=same.experiment, transmitted=k in by_gravity,
             )
         )  # fmt: skip
         error = error if why else taken.after
     return tuple(out)
+
+
+def _by_gravity(found: Found, left: Left) -> dict[int, dict[str, Parameter]]:
+    """By place among the claims, the numbers of a law of all torque that a gear transmits in the form that a model has it, of gravity's."""
+    now, places = found.now, [k for k, c in enumerate(found.claims) if TRANSMITTED in c.scored.candidate.shapes]
+    forms = [added(now, replace(found.claims[k].scored.candidate, shapes={})) for k in places]
+    for c in forms:
+        now = now.instead(c).plus(added(now, replace(c, shapes={MOVING: 1.0})))
+    if not forms:
+        return {}
+    hyper, p = now.fit(left.hyper)
+    place = {column: k for k, column in enumerate(now.nuisance.tolist())}
+    thetas = [p.theta[[place[k] for k in c.cols.tolist()]] for c in forms]
+    std = deviations(now, hyper, p.theta, forms)
+    scored = [replace(found.claims[k].scored, candidate=c, theta=x) for k, c, x in zip(places, forms, thetas, strict=True)]
+    return {k: parameters(s, d) for k, s, d in zip(places, scored, std, strict=True)}
 
 
 def _of_the_load(found: Found, left: Left, misfit: Misfit | None, claim: Claim) -> str:

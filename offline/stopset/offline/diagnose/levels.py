@@ -14,8 +14,9 @@ from stopset.artifact.inputs import effect_torques
 from stopset.effects.base import Effect, Fitted, Part
 from stopset.effects.registry import catalogue, get
 from stopset.effects.selection import of_part
-from stopset.effects.signals import Samples
+from stopset.effects.signals import Samples, arm_signals
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.columns.laws import beyond_gravity
 from stopset.offline.nominal.parameter_uncertainty import along, own_columns
 from stopset.robot.rigid import regressors, torques
 from stopset.types import Array
@@ -185,6 +186,17 @@ def look_alikes(model: Model, q: Array, dq: Array, ddq: Array, levels: Sequence[
             said = tuple(_said_of(law, float(x), k) for k, x in enumerate(before))
             columns = _columns(model, f, law, q, dq, ddq)
             out.append(LevelChange(j, columns, shares, said, error, limit.DAILY * np.abs(before), friction=True))
+    return out
+
+
+def while_moving(model: Model, laws: Sequence[Fitted], q: Array, dq: Array, ddq: Array) -> Array:
+    """(rows, n) [N m] what ``laws`` of the load have beyond gravity's part where they are of all that their gears transmit."""
+    out = np.zeros_like(q)
+    signals = arm_signals(model.robot, Samples(q, dq, ddq), {"load", "link"}) if laws else ()
+    for f in laws:
+        law, j = get(f.effect), model.joints.index(f.joint or "")
+        s = replace(signals[j], given_direction=np.sign(dq[:, j]))
+        out[:, j] += beyond_gravity(law, s, np.asarray(s.link)) @ [f.values[t.symbol] for t in law.terms]
     return out
 
 

@@ -7,14 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from stopset.effects import Effect
+from stopset.effects import Effect, Signals
 from stopset.offline.diagnose.columns.delay import lagged
 from stopset.offline.diagnose.columns.elasticity import swing
 from stopset.offline.diagnose.columns.memory import memory
 from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.types import Array
 
+TRANSMITTED = "transmitted"  # form of a law of the load: of all torque that the gear transmits, not of gravity's alone
+MOVING = "moving"  # what that form has beyond gravity's
 RIGID = frozenset({"ddq", "tau", "dtau", "link", "tip", "tilt", "stiff", "inertia", "coriolis"})
+
+
+def of_the_load(effect: Effect) -> bool:
+    """Whether a law is of friction that grows with the load, which has both forms."""
+    return effect.role == "friction" and "load" in effect.needs
 
 
 def columns(
@@ -41,10 +48,34 @@ def columns(
                 s = replace(s, dq_other=d.dq_fine[:, other[0]], ddq_other=_rate(source, other[0]))
             if effect.states:
                 s = replace(s, memory=memory(effect, s, shapes, d.start_fine, d.kernel.dt))
-            moving = d.thin(np.stack([np.broadcast_to(c, (len(d.q_fine),)) for c in effect.columns(s, shapes)], axis=1))
+            fine = _stacked(effect, s, shapes)
+            if {TRANSMITTED, MOVING} & set(shapes):
+                fine = beyond_gravity(effect, s, source.transmitted_fine[:, i]) + (fine if TRANSMITTED in shapes else 0.0)
+            moving = d.thin(fine)
         gain = source.gain if effect.carried else 1.0
-        out[i] = (gain * moving, gain * _at_rest(source, effect, i, shapes))
+        still = _at_rest(source, effect, i, shapes)
+        out[i] = (gain * moving, (0.0 if MOVING in shapes else gain) * still)
     return out
+
+
+def _stacked(effect: Effect, s: Signals, shapes: Mapping[str, float]) -> Array:
+    """(M, k) columns of a law at the recording's rate."""
+    return np.stack([np.broadcast_to(c, s.q.shape) for c in effect.columns(s, shapes)], axis=1)
+
+
+def beyond_gravity(effect: Effect, s: Signals, transmitted: Array) -> Array:
+    """(M, k) what a law of the load adds where it is of all torque ``transmitted`` (M,) by the gear: friction, which turns over with the direction.
+
+    What does not turn over with it is a share of the load itself: of gravity it is told by the poses, of all torque it would be another name
+    of the drive's scale and of its inertia.
+    """
+    back = replace(s, given_direction=-np.asarray(s.given_direction))
+
+    def friction(load: Array) -> Array:
+        there, again = (_stacked(effect, replace(x, load=load), {}) for x in (s, back))
+        return 0.5 * (there - again)
+
+    return friction(transmitted) - friction(np.asarray(s.load))
 
 
 def _rate(source: ArmSignals, joint: int) -> Array:

@@ -50,7 +50,8 @@ class ArmSignals:
     def set_weight(self, weight: Array) -> None:
         """How far the links weigh something else than described (10 n,), by the last fit."""
         self.weight = weight
-        self._cache.pop("load", None)
+        for key in ("load", "transmitted"):
+            self._cache.pop(key, None)
 
     def __post_init__(self) -> None:
         n = self.data.n
@@ -90,6 +91,25 @@ class ArmSignals:
         """(M, n) gravity torque at the recording's rate [N m], of the links as they weigh."""
         chain, pi = self.robot.chain, self.robot.pi + self.weight.reshape(self.robot.pi.shape)
         return self._get("load", lambda: gravity_moments(chain, pi, self.data.q_fine).torque(chain.gravity))
+
+    @property
+    def transmitted_fine(self) -> Array:
+        """(M, n) torque that the gears transmit to the links at the recording's rate [N m], of the links as they weigh.
+
+        What moves them is of the rows, between which it hardly bends.
+        """
+        return self._get("transmitted", lambda: self.load_fine + self._moving_fine())
+
+    def _moving_fine(self) -> Array:
+        """(M, n) that torque without gravity's."""
+        d, chain, pi = self.data, self.robot.chain, self.robot.pi + self.weight.reshape(self.robot.pi.shape)
+        moving = self.regressor @ pi.ravel() - gravity_moments(chain, pi, d.q).torque(chain.gravity)
+        out = np.zeros_like(d.q_fine)
+        for trial in d.trials:
+            if trial.rows.stop > trial.rows.start:
+                at = np.arange(trial.fine.start, trial.fine.stop)
+                out[trial.fine] = np.stack([np.interp(at, d.centre[trial.rows], x) for x in moving[trial.rows].T], axis=1)
+        return out
 
     @property
     def load_still(self) -> Array:

@@ -61,7 +61,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     ``progress`` is given each claim as it is made.
     """
     engine = start.engine
-    candidates = engine.add_all(wanted(engine, names))
+    candidates = engine.add_all(wanted(engine, names, start.active))
     ripple = next((e for e in catalogue().values() if e.periodic and (names is None or e.name in names)), None)
     ripples = Ripples(engine, ripple) if ripple else None
     now = start
@@ -88,7 +88,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
             best = [s for s in best if _stands(loose, s, loose_hyper)]
         if not best:
             break
-        earlier, (top, rivals) = now, settle(now, best, hyper, refused)
+        earlier, (top, rivals) = now, settle(now, best, hyper, refused, names)
         plainer = next((c for c in claimed if c.key not in beyond and refines(top.candidate, c)), None)
         top, rivals = (top, rivals) if plainer is None else (instead(now, plainer, top, hyper), ())
         top, rivals = likeliest_gear(earlier, top, rivals, hyper)
@@ -120,7 +120,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
     claims = _as_fitted(now, claims, p.theta)
     now, retained = _needed(now, claims, hyper)
     for k, claim in enumerate(retained):
-        now, retained[k] = _settled_again(now, claim, hyper, refused)
+        now, retained[k] = _settled_again(now, claim, hyper, refused, names)
     now, hyper, p = _as_loaded(now, retained, hyper)
     return Found(tuple(_as_fitted(now, retained, p.theta)), tuple(left), now, hyper, now.excesses(p.theta, hyper), first)
 
@@ -195,14 +195,16 @@ def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:
     return again is not None and again.score - c.charge >= limit.THRESHOLD
 
 
-def _settled_again(now: Hypothesis, claim: Claim, hyper: Hyper, refused: Set[EffectKey]) -> tuple[Hypothesis, Claim]:
+def _settled_again(
+    now: Hypothesis, claim: Claim, hyper: Hyper, refused: Set[EffectKey], names: Sequence[str] | None
+) -> tuple[Hypothesis, Claim]:
     """A narrow decision between contenders taken again, now that all the other causes are known: those that no later claim says."""
     if claim.scored.candidate.effect.role == "swing":
         return now, claim
     key = claim.scored.candidate.key
     others = now.without(key)
     open_ones = [s for s in claim.rivals if not said_already(others.active, s.candidate)]
-    top, rivals = settle(others, [claim.scored, *open_ones], hyper, refused)
+    top, rivals = settle(others, [claim.scored, *open_ones], hyper, refused, names)
     if top.candidate.key == key:
         return now, claim
     return now.instead(top.candidate, key), replace(claim, scored=top.scored, score=top.scored.score, rivals=rivals)

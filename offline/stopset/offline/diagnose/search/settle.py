@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stopset.effects import get
+from stopset.effects import Effect, get
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
@@ -17,11 +17,15 @@ from stopset.offline.diagnose.search.held_out import HeldOut, held_out, on_motio
 from stopset.offline.diagnose.search.moment_arms import distinct, geared
 from stopset.offline.diagnose.search.refine import refine
 from stopset.offline.diagnose.search.settled import Settled, refines, refitted
-from stopset.offline.diagnose.search.wanted import askable
+from stopset.offline.diagnose.search.wanted import askable, asked, load_forms
 
 
 def settle(
-    now: Hypothesis, best: Sequence[Scored], hyper: Hyper, refused: Set[EffectKey] = frozenset()
+    now: Hypothesis,
+    best: Sequence[Scored],
+    hyper: Hyper,
+    refused: Set[EffectKey] = frozenset(),
+    names: Sequence[str] | None = None,
 ) -> tuple[Settled, tuple[Scored, ...]]:
     """Of contenders, ``best`` first, the one to claim, and its rivals.
 
@@ -32,7 +36,7 @@ def settle(
     as a spring that pushes, gives way to the likeliest that need not, but to no finer form of itself.  One to none of whose numbers the
     rows give a size, as two terms and levers that bend into any curve, gives way to the likeliest of those that have one and lack less
     than a claim's evidence.  A finer law that does not lower the held-out error of its plainer form, as any claim must, is not named for it,
-    nor another law at the joint of one that the model has, for that one.
+    nor another law at the joint of one that the model has, for that one.  ``names``: of the effects that are asked for, where not all are.
     """
     first = refitted(now, best[0], hyper)
     lacks = [first.taken_up * _touch(s.candidate, first.candidate) + limit.THRESHOLD for s in best]
@@ -40,13 +44,13 @@ def settle(
     settled = [first, *(refitted(now, s, hyper) for s in near)]
     settled = geared(settled, now, hyper)
     likeliest = max(settled, key=lambda x: x.evidence)
-    asked = {x.candidate.key for x in settled}
-    plainer = _plainer(now, likeliest, hyper, refused)
-    settled += [x for x in plainer if x.candidate.key not in asked and not said_already(now.active, x.candidate)]
+    keys = {x.candidate.key for x in settled}
+    plainer = _plainer(now, likeliest, hyper, refused, names)
+    settled += [x for x in plainer if x.candidate.key not in keys and not said_already(now.active, x.candidate)]
     separate = [x for x in settled if x.evidence > likeliest.evidence - limit.THRESHOLD and distinct(x, settled)]
     likeliest = max(separate, key=lambda x: x.evidence, default=likeliest)
     alike = [x for x in settled if not separate and _simplifies(x.candidate, likeliest.candidate)]
-    enough = [x for x in alike if x.mended > likeliest.evidence - limit.THRESHOLD]
+    enough = [x for x in alike if _excused(x, likeliest) > likeliest.evidence - limit.THRESHOLD]
     top = min(enough, key=lambda x: (_size(x.candidate), -x.mended), default=likeliest)
     if not top.possible:
         sound = (x for x in settled if x.possible and not refines(x.candidate, top.candidate))
@@ -57,6 +61,11 @@ def settle(
     top = max((x for x in settled if _leaves_as_little(x, top)), key=lambda x: x.evidence, default=top)
     top = max((x for x in settled if _stays(x, top)), key=lambda x: x.evidence, default=top)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
+
+
+def _excused(plainer: Settled, likeliest: Settled) -> float:
+    """Evidence of a plainer law whose form may be off: not where it has more numbers, as the linear law of a load beside the quadratic one."""
+    return plainer.mended if _size(plainer.candidate) < _size(likeliest.candidate) else plainer.evidence
 
 
 def _leaves_as_little(plainer: Settled, top: Settled) -> bool:
@@ -179,15 +188,21 @@ def within_reach(engine: Engine, c: Candidate) -> bool:
     return c.shapes["K"] < limit.SWINGS[1] ** 2 * M
 
 
-def _plainer(now: Hypothesis, best: Settled, hyper: Hyper, refused: Set[EffectKey]) -> list[Settled]:
-    """Laws without shapes that look like the one of ``best``, have fewer parameters and could be claimed themselves, at its joints."""
+def _plainer(now: Hypothesis, best: Settled, hyper: Hyper, refused: Set[EffectKey], names: Sequence[str] | None) -> list[Settled]:
+    """Laws without shapes that look like the one of ``best``, are plainer and could be claimed themselves, at its joints."""
     c = best.candidate
     alike = map(get, dict.fromkeys((*c.effect.refines, *c.effect.looks_like)))
-    fewer = [e for e in alike if e.scope == c.effect.scope and not e.shapes and len(e.terms) < _size(c)]
+    fewer = [e for e in alike if e.scope == c.effect.scope and not e.shapes and _plainer_than(e, c, names)]
     laws = [e for e in fewer if askable(now.engine, e) and (e.name, c.joints) not in refused]
-    scored = (score_new(now, e, c.joints, {}, hyper) for e in laws if e.enters == c.effect.enters)
+    forms = [(e, form) for e in laws if e.enters == c.effect.enters for form in load_forms(now.engine, e, c.joints)]
+    scored = (score_new(now, e, c.joints, form, hyper) for e, form in forms)
     sound = [s for s in scored if s is not None and s.admissible and s.score >= limit.THRESHOLD]
     return [refitted(now, replace(s, score=min(s.score, best.scored.score)), hyper) for s in sound]
+
+
+def _plainer_than(e: Effect, c: Candidate, names: Sequence[str] | None) -> bool:
+    """Whether a law has fewer parameters than a candidate, or refined by it has more and is one of the ``names`` that are asked for."""
+    return len(e.terms) < _size(c) or (e.name in c.effect.refines and asked(e, names))
 
 
 def _touch(a: Candidate, b: Candidate) -> bool:
@@ -198,7 +213,7 @@ def _touch(a: Candidate, b: Candidate) -> bool:
 def _simplifies(a: Candidate, b: Candidate) -> bool:
     """Whether ``a`` says with fewer parameters what looks like ``b`` at the same joints, or is a plainer form of it."""
     alike = a.effect.name in (*b.effect.looks_like, *b.effect.refines)
-    return a.joints == b.joints and alike and _size(a) < _size(b)
+    return a.joints == b.joints and alike and (_size(a) < _size(b) or refines(b, a))
 
 
 def _size(c: Candidate) -> int:

@@ -9,6 +9,8 @@ import numpy as np
 
 from stopset.effects import Effect, catalogue
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.columns.laws import TRANSMITTED, of_the_load
+from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper
 
@@ -17,8 +19,11 @@ LAGS = (-0.08, -0.05, -0.03, -0.018, -0.01, -0.006, 0.006, 0.01, 0.018, 0.03, 0.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
 
-def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
-    """All effects of the catalogue at all joints these data can speak of, with the start values of their shapes."""
+def wanted(engine: Engine, names: Sequence[str] | None = None, own: Sequence[Candidate] = ()) -> list[Wanted]:
+    """All effects of the catalogue at all joints these data can speak of, with the start values of their shapes.
+
+    ``own``: effects that the model has, for `load_forms`.
+    """
     n = engine.data.n
     out: list[Wanted] = []
     for effect in catalogue().values():
@@ -42,8 +47,20 @@ def wanted(engine: Engine, names: Sequence[str] | None = None) -> list[Wanted]:
             for values in itertools.product(*grids):
                 shapes = dict(zip([s.symbol for s in effect.shapes], values, strict=True))
                 if effect.role != "swing" or _swings(engine, place[0], shapes["K"]):
-                    out.append((effect, place, shapes))
+                    out.extend((effect, place, {**shapes, **form}) for form in load_forms(engine, effect, place, own))
     return out
+
+
+def load_forms(
+    engine: Engine, effect: Effect, place: tuple[int, ...], own: Sequence[Candidate] = ()
+) -> tuple[Mapping[str, float], ...]:
+    """Forms of one law: friction that grows with the load may be of gravity's torque alone or of all that the gear transmits.
+
+    Where the model has a law of the load, among its ``own``, it is asked in the model's form: what that leaves is no other law.
+    """
+    transmits = of_the_load(effect) and engine.loaded(place)
+    known = any(c.joints == place and of_the_load(c.effect) for c in own)
+    return ({}, {TRANSMITTED: 1.0}) if transmits and not known else ({},)
 
 
 def asked(effect: Effect, names: Sequence[str] | None) -> bool:
