@@ -45,9 +45,8 @@ class Ranked:
     alternatives: tuple[str, ...] = ()  # effects that these recordings cannot tell from it at its joint: it is named with them
     alike: str = ""  # why they look alike
     telling: str = ""  # and what would tell them apart
-    transmitted: bool = (
-        False  # of a law of the load: that it is of all that the gear transmits; its numbers are those of gravity's
-    )
+    # of a law of the load: it is of all that the gear transmits, with the numbers of gravity's part
+    transmitted: bool = False
     in_model: bool = False  # `identify` chose it by evidence already: what `add` then does is make it a revision of its own
 
     @property

@@ -188,9 +188,8 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     for k, claim in enumerate(found.claims):
         c = claim.scored.candidate
         taken = steps.get(k, Step(error, error, "", c.joints))
-        own, disagree = _by_all_joints(
-            found, left, claim, numbers[k]
-        )  # whether there is a load is no matter of how sure its mass is
+        # whether there is a load is no matter of how sure its mass is
+        own, disagree = _by_all_joints(found, left, claim, numbers[k])
         own = by_gravity.get(k, own)
         fitted = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in own.items()}
         given = dict(fitted if objections[k] else of_a_body(c.effect, fitted))
