@@ -113,6 +113,19 @@ def test_saturation(tmp_path: Path, trials: tuple[Recording, ...], signal: str, 
     assert "saturated" not in kinds(i, "base")
 
 
+@pytest.mark.parametrize("digits", [2, 3])
+def test_a_smooth_maximum_of_few_digits_clips_nothing(digits: int, tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    """A torque that was filtered before it was written rests at its largest reading for a few samples, and leaves it as gently as it came."""
+
+    def slow(r: Recording, edge: float = 30.0) -> Recording:
+        tau = r.tau.copy()
+        tau[:, 1] = np.clip(np.round(16.0 * np.sin(2 * np.pi * 0.3 * (r.t + 0.1 * r.suite)), digits), -edge, edge)
+        return replace(r, tau=tau)
+
+    assert "saturated" not in kinds(look(tmp_path, broken(trials, slow)))
+    assert "saturated" in kinds(look(tmp_path, broken(trials, lambda r: slow(r, 15.0))), "shoulder", ("error",))
+
+
 def test_a_derived_speed_that_stays_clips_nothing(tmp_path: Path) -> None:
     """A joint that moves evenly, as programs make them: its differences of angles are one number."""
     q = np.cumsum(np.repeat([0.0, 0.9, 0.0, -0.9, 0.0], 60)) / 100.0

@@ -19,6 +19,7 @@ from stopset.types import Array
 
 GAP = 5.5  # periods without a row that end a trial
 SHORTEST = 10  # rows
+CUT_OFF = "; the last row is cut off and left out"
 FASTEST, SLOWEST = 1e-4, 0.1  # [s] between two rows of any recording of an arm
 
 
@@ -75,6 +76,7 @@ def read_table(paths: Sequence[Path], stated: Stated, effort: str, suite: int) -
     )  # fmt: skip
     left = [n for n in names if n not in {columns.t, *columns.q, *columns.dq, *columns.tau, *columns.i}]
     said = f"{columns} of {', '.join(columns.joints)}; {unit}{'; angles in degrees' if degrees else ''}{of}"
+    said += CUT_OFF if any(x.cut for x in tables) else ""
     return meta, trials, said + (f"; {len(left)} other columns left out" if left else "")
 
 

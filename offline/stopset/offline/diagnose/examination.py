@@ -19,7 +19,7 @@ from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Beforehand
 from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale, fitted_deviations
-from stopset.offline.diagnose.evidence.weighing import Misfit, weighed
+from stopset.offline.diagnose.evidence.weighing import Misfit, joints_apart, weighed
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
@@ -175,6 +175,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
         why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
         why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
+        why = why or _of_single_joints(found, left, claim)
         objections.append(why or _of_the_load(found, left, misfit, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
@@ -215,6 +216,21 @@ def _of_the_load(found: Found, left: Left, misfit: Misfit | None, claim: Claim) 
         f"what the load's torque may be off by at single joints explains most of it (score {max(beside, 0.0):.0f} beside that, {alone:.0f} "
         "where the load is taken to be told exactly)"
     )
+
+
+def _of_single_joints(found: Found, left: Left, claim: Claim) -> str:
+    """Why a law of the whole arm is no finding: a share of it for each joint is as sure as an effect must be that is named.
+
+    Its number is one for all joints, however it came about; of a load they may disagree by their drives (`weighed`).
+    """
+    c = claim.scored.candidate
+    if c.joints or c.effect.carried:
+        return ""
+    gain, shares = joints_apart(found.now, left.hyper, left.theta, c)
+    if gain < limit.THRESHOLD:
+        return ""
+    each = ", ".join(f"{found.now.engine.data.joints[j]} {1.0 + s:.2g}" for j, s in sorted(shares.items(), key=lambda x: -abs(x[1]))[:2])
+    return f"the joints do not agree on it (times what they say together: {each}; score {gain:.0f}): what it explains is of each by itself"
 
 
 def _by_all_joints(

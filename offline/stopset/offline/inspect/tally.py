@@ -27,6 +27,8 @@ LONG = 50  # samples from which on a trial's mean period is known to a per cent
 FOLLOWS = 0.4  # relative: a step of q is what dq says
 SETTLES = 3  # steps at a trial's start that dq does not explain, from which on it is said
 PLATEAU = 5  # equal samples in a row at a signal's largest value
+NEAR_TOP = 0.9  # of it: sizes whose digits are its own
+ROUND = 10.0  # digits by which a smooth maximum falls on either side of the samples that read alike, over as many samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,9 +186,8 @@ class SignalSums:
             np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=integral[1:])
             a, b = r.q[w::w] - r.q[:-w:w][: len(r.q[w::w])], integral[w::w] - integral[:-w:w][: len(integral[w::w])]
             whole = ~np.logical_or.reduceat(torn, np.arange(0, len(torn), w), axis=0)[: len(a)]
-            step = np.where(np.isfinite(self.resolution), self.resolution, 0.0)
-            # what the speed of a joint that stands reads is no motion that its angle does not follow
-            stands = (np.ptp(r.q, axis=0) <= IDLE_TRAVEL) & (np.abs(a) <= STILL * step) & (np.abs(b) < IDLE * w * h)
+            # what the speed of a joint that stands reads is no motion that its angle does not follow, nor what it gives way by one of its drive
+            stands = (np.ptp(r.q, axis=0) <= IDLE_TRAVEL) & (np.abs(b) < IDLE * w * h)
             a, b = a * whole * ~stands, b * whole * ~stands
             self.windows += len(a)
             self.travel += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
@@ -219,11 +220,31 @@ class SignalSums:
                 top = float(size[:, j].max())
                 if top <= 0 or (name == "dq" and top < MOVING):
                     continue
-                run = _longest(size[:, j] >= top * (1 - 1e-6))
+                at_top = size[:, j] >= top * (1 - 1e-6)
+                run = _longest(at_top)
                 # exact zeros are no reading: no torque asked for yet, or no speed
                 usual = _longest((np.diff(x[:, j]) == 0) & (size[1:, j] < 0.95 * top) & (size[1:, j] > 0)) + 1
-                if run >= PLATEAU and run > 2 * usual:
+                if run >= PLATEAU and run > 2 * usual and not _round(size[:, j], at_top, top):
                     self.plateaus.append((name, j, top, run))
+
+
+def _round(size: Array, at_top: NDArray[np.bool_], top: float) -> bool:
+    """Whether every run of a signal's ``size`` (N,) at its ``top`` is a smooth maximum that its digits make flat, and not the edge of a range.
+
+    A parabola that falls by one digit at the end of such a run has fallen by nine a run's length further on, one more by rounding; a signal that
+    is clipped comes and goes as steeply as it was.
+    """
+    decade = 10.0 ** np.floor(np.log10(top))  # digits of a float's decimals: below it they are finer
+    values = np.unique(size[size >= max(decade, NEAR_TOP * top)])
+    digit = float(np.diff(values).min(initial=np.inf))
+    ends = np.flatnonzero(np.diff(np.r_[0, at_top.astype(np.int8), 0])).reshape(-1, 2)
+    if not np.isfinite(digit):
+        return False
+    for a, b in ends.tolist():
+        beside = [size[k] for k in (a - (b - a), b + (b - a) - 1) if 0 <= k < len(size)]
+        if b - a >= PLATEAU and any(top - x > ROUND * digit for x in beside):
+            return False
+    return True
 
 
 def _longest(mask: NDArray[np.bool_]) -> int:
