@@ -82,9 +82,7 @@ def test_what_was_asked_of_the_arm_is_not_what_it_did(tmp_path: Path, capsys: py
     assert "q = q_0 .. q_2" in said and "10 other columns" in said
 
 
-def test_accelerations_and_other_kinds_of_a_quantity_are_passed_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_accelerations_and_other_kinds_of_a_quantity_are_passed_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of Position1 and PositionComputed1 the first is the joint's; without it, and of torques that differ, nobody knows which."""
     names = [
         *numbered("PositionComputed#", "VelocityComputed#", "TorqueSmooth#", t="Time"),
@@ -105,6 +103,16 @@ def test_accelerations_and_other_kinds_of_a_quantity_are_passed_over(
     how = ["--columns", "t=Time,q=pos*,dq=vel*,tau=torque?"]
     assert main(["import", str(path), "--out", str(out), *how]) == 2
     assert "names 1 of t, 6 of q, 6 of dq, 3 of tau" in (said := capsys.readouterr().err) and "q=position?" in said
+
+
+def test_the_rate_is_that_of_the_stamps(tmp_path: Path) -> None:
+    """Stamps in whole milliseconds, most 10 ms apart and some 11: the rate that is written down is no finding of `stopset inspect`."""
+    out = tmp_path / "rec.parquet"
+    t = np.cumsum(np.r_[0.0, np.resize([0.010, 0.010, 0.011], N - 1)])
+    t[200:] += 0.05  # a gap counts for nothing
+    table = np.column_stack([np.round(t, 3), ALL[:, 1:]])
+    assert main(["import", str(text(tmp_path / "a.csv", WRITTEN["plain"], table=table)), "--out", str(out)]) == 0
+    assert read_meta(out).rate_hz == pytest.approx(3 / 0.031, rel=1e-3)
 
 
 def test_joints_are_those_of_the_chain_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -219,7 +219,8 @@ def _of_the_load(found: Found, left: Left, misfit: Misfit | None, claim: Claim) 
 
 
 def _of_single_joints(found: Found, left: Left, claim: Claim) -> str:
-    """Why a law of the whole arm is no finding: a share of it for each joint is as sure as an effect must be that is named.
+    """Why a law of the whole arm is no finding: that each joint has a share of its own is as sure as an effect must be that is named, and one is
+    off by twice what a law's form is ever taken to be off.
 
     Its number is one for all joints, however it came about; of a load they may disagree by their drives (`weighed`).
     """
@@ -227,9 +228,11 @@ def _of_single_joints(found: Found, left: Left, claim: Claim) -> str:
     if c.joints or c.effect.carried:
         return ""
     gain, shares = joints_apart(found.now, left.hyper, left.theta, c)
-    if gain < limit.THRESHOLD:
+    if gain < limit.THRESHOLD or max(map(abs, shares.values())) < limit.SURE * limit.FORMS[-1]:
         return ""
-    each = ", ".join(f"{found.now.engine.data.joints[j]} {1.0 + s:.2g}" for j, s in sorted(shares.items(), key=lambda x: -abs(x[1]))[:2])
+    each = ", ".join(
+        f"{found.now.engine.data.joints[j]} {1.0 + s:.2g}" for j, s in sorted(shares.items(), key=lambda x: -abs(x[1]))[:2]
+    )
     return f"the joints do not agree on it (times what they say together: {each}; score {gain:.0f}): what it explains is of each by itself"
 
 

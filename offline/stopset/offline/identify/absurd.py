@@ -91,8 +91,8 @@ def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found
             )
         elif diverges:
             wide.append(
-                f"open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: torque that shows no rotors, as behind the gears, "
-                "moves links without them, so predictions over seconds say nothing of them"
+                f"open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: torque that shows no rotors, as "
+                "behind the gears, moves links without them, so predictions over seconds say nothing of them"
             )
         torque, width = row["torque_rmse"], float(sets.U.width[k])
         if torque is not None and width < 0.5 * torque:

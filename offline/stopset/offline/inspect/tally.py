@@ -170,14 +170,30 @@ class SignalSums:
 
     def _torn(self, r: Recording, h: float) -> NDArray[np.bool_]:
         """(N - 1, n) the steps of q over which it cannot be held against dq: where it jumps, and where nothing was recorded."""
-        dt = np.diff(r.t)[:, None]
+        # a row that repeats the one before is no reading: the next one is as old as that
+        new = np.r_[True, np.any(np.diff(r.q, axis=0) != 0, axis=1) | np.any(np.diff(r.tau, axis=0) != 0, axis=1)]
+        read = np.maximum.accumulate(np.where(new, np.arange(len(r.t)), 0))
+        dt = (r.t[1:] - r.t[read[:-1]])[:, None]
         beside = np.diff(r.q, axis=0) - 0.5 * (r.dq[1:] + r.dq[:-1]) * dt
         silent = np.broadcast_to(dt > max(WINDOW, 2 * GAP * h), beside.shape)
         size = np.where(dt > GAP * h, 0.0, np.abs(beside))
         jump = size > np.maximum(JUMP, JUMPS_OUT * np.percentile(size, 95, axis=0))
         jump &= jump.mean(axis=0) < RARE
+        for k, j in np.argwhere(jump):
+            jump[k, j] = not self._caught_up(r, new, read, int(k), int(j))
         self.jumps_of_q += [Jump(int(j), float(r.t[k + 1]), float(beside[k, j]), r.label) for k, j in np.argwhere(jump)]
         return jump | silent
+
+    @staticmethod
+    def _caught_up(r: Recording, new: NDArray[np.bool_], read: NDArray[np.intp], k: int, j: int) -> bool:
+        """Whether from the last ``new`` reading before some that were filled in, up to `WINDOW` ago, the speed explains where a joint is now."""
+        early = np.searchsorted(r.t, r.t[k + 1] - WINDOW)
+        for at in np.unique(read[early : k + 1][~new[early : k + 1]]).tolist():
+            rows = np.r_[at, at + 1 + np.flatnonzero(new[at + 1 : k + 2])]
+            way = float(np.trapezoid(r.dq[rows, j], r.t[rows]))
+            if abs(r.q[k + 1, j] - r.q[at, j] - way) < JUMP:
+                return True
+        return False
 
     def _velocity(self, r: Recording, h: float, torn: NDArray[np.bool_]) -> None:
         w = max(3, round(WINDOW / h))
