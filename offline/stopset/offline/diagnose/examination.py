@@ -19,7 +19,7 @@ from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Beforehand
 from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale, fitted_deviations
-from stopset.offline.diagnose.evidence.weighing import Misfit, joints_apart, weighed
+from stopset.offline.diagnose.evidence.weighing import Misfit, joint_shares, weighed
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
@@ -227,7 +227,7 @@ def _of_single_joints(found: Found, left: Left, claim: Claim) -> str:
     c = claim.scored.candidate
     if c.joints or c.effect.carried:
         return ""
-    gain, shares = joints_apart(found.now, left.hyper, left.theta, c)
+    gain, shares = joint_shares(found.now, left.hyper, left.theta, c)
     if gain < limit.THRESHOLD or max(map(abs, shares.values())) < limit.SURE * limit.FORMS[-1]:
         return ""
     each = ", ".join(

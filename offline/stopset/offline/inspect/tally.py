@@ -190,8 +190,8 @@ class SignalSums:
         early = np.searchsorted(r.t, r.t[k + 1] - WINDOW)
         for at in np.unique(read[early : k + 1][~new[early : k + 1]]).tolist():
             rows = np.r_[at, at + 1 + np.flatnonzero(new[at + 1 : k + 2])]
-            way = float(np.trapezoid(r.dq[rows, j], r.t[rows]))
-            if abs(r.q[k + 1, j] - r.q[at, j] - way) < JUMP:
+            travel = float(np.trapezoid(r.dq[rows, j], r.t[rows]))
+            if abs(r.q[k + 1, j] - r.q[at, j] - travel) < JUMP:
                 return True
         return False
 

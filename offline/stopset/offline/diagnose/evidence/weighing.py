@@ -97,7 +97,7 @@ def says(now: Hypothesis, hyper: Hyper, c: Candidate) -> float:
     return now.evidence(hyper) - base.evidence(base.fit(hyper)[0])
 
 
-def joints_apart(now: Hypothesis, hyper: Hyper, theta: Array, c: Candidate) -> tuple[float, dict[int, float]]:
+def joint_shares(now: Hypothesis, hyper: Hyper, theta: Array, c: Candidate) -> tuple[float, dict[int, float]]:
     """Evidence, twice the log Bayes factor, that joints have an arm's law off by shares of their own as wide as any that is asked; and these."""
     loose = with_forms(now, [c], theta, whole=True)
     h, p = loose.refit(replace(hyper, forms=(*hyper.forms, limit.FORMS[-1])))
