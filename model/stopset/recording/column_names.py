@@ -124,7 +124,7 @@ def _joints(q: Mapping[JointWords, str], joints: Sequence[str] | None, names: Se
 
 def _bare(columns: Mapping[JointWords, str]) -> Mapping[JointWords, str]:
     """Of several columns of each joint those with its number and no further word, as Position1 beside PositionComputed1; else all."""
-    bare = {k: name for k, name in columns.items() if len(k) == 1 and k[0].isdigit()}
+    bare: dict[JointWords, str] = {k: name for k, name in columns.items() if len(k) == 1 and k[0].isdigit()}
     return bare if {k[-1:] for k in columns} == set(bare) else columns
 
 
