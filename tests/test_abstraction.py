@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from articulated import forward_dynamics
 from stopset.artifact import Abstraction
 from stopset.artifact.polynomial import Polynomial, collected, compiled, evaluate
 from stopset.errors import StopsetError
-from stopset.offline.abstraction import ORDERS, build, predicted_bytes
+from stopset.offline.abstraction import ORDERS, build, identified, predicted_bytes
 from stopset.offline.abstraction.forms import dynamics, inverse
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.robot import Robot
@@ -329,3 +330,12 @@ def test_table_one_is_in_the_papers_order_of_magnitude() -> None:
         assert cell[speed, "model 2", 12] <= cell[speed, "model 1", 3]
     assert answer["maximal_degrees"] == {"model_1": 3, "model_2": 12, "model_2_reduced": 10}
     assert "∞" in table1.text({**answer, "cells": [{**c, "diverged": 1} for c in answer["cells"]]})
+
+
+def test_a_prediction_that_runs_away_is_told_without_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An order was chosen by 2.4e19 mrad against infinitely many."""
+    errors = iter([0.0334, 2.4e16, np.inf])
+    monkeypatch.setattr(identified, "abstract", lambda arm, kind, p: SimpleNamespace(kind=kind, order=p))
+    monkeypatch.setattr(identified, "prediction_error", lambda *args: next(errors))
+    note = identified.best_order(None, 1, (1, 2, 3), lambda model: [], 0.01).note  # type: ignore[arg-type]
+    assert "order 1: 33.40 mrad" in note and "order 2: runs away" in note and "order 3: runs away" in note

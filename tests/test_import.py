@@ -60,7 +60,7 @@ def test_the_torque_nearest_to_a_measurement_is_taken_and_named(tmp_path: Path, 
     [
         (lambda text: text.replace("actual_qd_3", "other"), "actual_qd_3"),
         (lambda text: text.replace("timestamp", "time"), "timestamp"),
-        (lambda text: text[: len(text) // 2].rsplit(",", 3)[0], "cut off"),
+        (lambda text: text.replace(text.splitlines()[9], text.splitlines()[9].rsplit(",", 3)[0]), "cut off"),
         (lambda text: text.replace(",0.", ",nonsense", 1), "expected numbers"),
         (lambda text: "\n".join(text.splitlines()[:5]), "at least"),
     ],
@@ -74,6 +74,14 @@ def test_tables_that_are_none_end_in_one_sentence(
     assert main(["import", str(path), "--out", str(tmp_path / "rec.parquet")]) == 2
     said = capsys.readouterr().err.strip()
     assert word in said and "\n" not in said and not (tmp_path / "rec.parquet").exists()
+
+
+def test_a_last_row_that_is_cut_off_is_left_out_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = table(tmp_path / "rtde.csv", ",", actual_q=Q, actual_qd=DQ, target_moment=Q), tmp_path / "rec.parquet"
+    path.write_text(path.read_text().rsplit(",", 3)[0])
+    assert main(["import", str(path), "--out", str(out)]) == 0
+    assert "the last row is cut off and left out" in capsys.readouterr().out
+    assert len(read_recordings(out).trials[0].t) == len(Q) - 1
 
 
 @pytest.mark.parametrize("constants", ["1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,-6"])

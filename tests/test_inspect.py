@@ -17,6 +17,7 @@ from stopset.errors import RecordingError
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose
 from stopset.offline.inspect import Inspection, inspect_recordings
+from stopset.offline.inspect.findings_clock import clock
 from stopset.offline.inspect.findings_signals import readings, velocity
 from stopset.offline.inspect.gate import check_signals
 from stopset.offline.inspect.mounting import mounting
@@ -99,6 +100,44 @@ def test_repeated_samples(tmp_path: Path, trials: tuple[Recording, ...]) -> None
     assert "repeated_samples" in kinds(look(tmp_path, broken(trials, hold)), severity=("error",))
 
 
+def test_what_a_joint_that_stands_gives_way_says_nothing_of_its_speed(tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    """0.2 mrad, by an encoder fine enough to see it, while the others move: its drive's speed read 0.003 rad/s of something else."""
+
+    def standing(r: Recording) -> Recording:
+        q, dq = r.q.copy(), r.dq.copy()
+        q[:, 2] = 0.4 + 1e-4 * np.sin(0.9 * r.t)
+        dq[:, 2] = 2e-3 * np.sin(3.0 * r.t)
+        return replace(r, q=q, dq=dq)
+
+    assert not kinds(look(tmp_path, broken(trials, standing), robot=False), "elbow") & {"dq_not_derivative", "dq_scale"}
+
+
+def test_what_came_after_readings_that_were_filled_in_is_no_jump_of_an_encoder(
+    tmp_path: Path, trials: tuple[Recording, ...]
+) -> None:
+    """A bus that was silent for a tenth of a second, in which the logger wrote its last message again."""
+
+    def stalled(r: Recording) -> Recording:
+        source = np.arange(len(r.t))
+        at = len(r.t) // 3 + int(np.argmax(np.abs(r.dq[len(r.t) // 3 :, 1])))
+        silence = min(round(0.1 * RATE), len(r.t) - at - 2)
+        source[at : at + silence] = at
+        source[at + silence] = at + 1  # a message that had waited
+        return replace(shaken(r, 0.3), q=r.q[source], dq=r.dq[source], tau=r.tau[source])
+
+    found = look(tmp_path, broken(trials, stalled)).findings
+    assert "repeated_samples" in {f.kind for f in found} and not [f.says for f in found if "jumps by" in f.says]
+
+
+@pytest.mark.parametrize(("jumps", "severity"), [(4, "warning"), (200, "error")])
+def test_a_few_steps_over_lost_samples_are_no_reason_to_refuse(trials: tuple[Recording, ...], jumps: int, severity: str) -> None:
+    """As few samples that are missing by their stamps are none."""
+    tally = SignalSums(3)
+    tally.add(next(r for r in trials if r.phase != "static"))
+    tally.jumps, tally.samples = jumps, 6500
+    assert [f.severity for f in clock(tally, META, dq_sound=True) if "whole multiples" in f.says] == [severity]
+
+
 @pytest.mark.parametrize(("signal", "level"), [("tau", 15.0), ("dq", 0.9)])
 def test_saturation(tmp_path: Path, trials: tuple[Recording, ...], signal: str, level: float) -> None:
     def clip(r: Recording) -> Recording:
@@ -111,6 +150,19 @@ def test_saturation(tmp_path: Path, trials: tuple[Recording, ...], signal: str, 
     found = next(f for f in i.findings if f.kind == "saturated")
     assert found.value == pytest.approx(level, rel=1e-3)
     assert "saturated" not in kinds(i, "base")
+
+
+@pytest.mark.parametrize("digits", [2, 3])
+def test_a_smooth_maximum_of_few_digits_clips_nothing(digits: int, tmp_path: Path, trials: tuple[Recording, ...]) -> None:
+    """A torque that was filtered before it was written rests at its largest reading for a few samples, and leaves it as gently as it came."""
+
+    def slow(r: Recording, edge: float = 30.0) -> Recording:
+        tau = r.tau.copy()
+        tau[:, 1] = np.clip(np.round(16.0 * np.sin(2 * np.pi * 0.3 * (r.t + 0.1 * r.suite)), digits), -edge, edge)
+        return replace(r, tau=tau)
+
+    assert "saturated" not in kinds(look(tmp_path, broken(trials, slow)))
+    assert "saturated" in kinds(look(tmp_path, broken(trials, lambda r: slow(r, 15.0))), "shoulder", ("error",))
 
 
 def test_a_derived_speed_that_stays_clips_nothing(tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ WRITTEN = {
     "a message": numbered("field.position#", "field.velocity#", "field.effort#", 0, "field.header.stamp"),
     "axes": numbered("q_A#", "qdot_A#", "tauMeasured_A#"),
     "libfranka": numbered("q_#", "dq_#", "tau_J_#", 0),
+    "humps": numbered("dataQ_#", "dataDotQ_NF_#", "dataTau_#", 1, "dataTimeStamp"),
     "by name": ["t", *(f"/joint_states/{j}/{k}" for k in ("position", "velocity", "effort") for j in ("hip", "knee", "toe"))],
 }
 
@@ -79,6 +80,56 @@ def test_what_was_asked_of_the_arm_is_not_what_it_did(tmp_path: Path, capsys: py
     assert r.q == pytest.approx(Q) and r.tau == pytest.approx(TAU)
     said = capsys.readouterr().out
     assert "q = q_0 .. q_2" in said and "10 other columns" in said
+
+
+def test_accelerations_and_other_kinds_of_a_quantity_are_passed_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of Position1 and PositionComputed1 the first is the joint's; without it, and of torques that differ, nobody knows which."""
+    names = [
+        *numbered("PositionComputed#", "VelocityComputed#", "TorqueSmooth#", t="Time"),
+        *numbered("Position#", "Velocity#", "Torque#")[1:],
+        *(f"DDotQ{k}" for k in (1, 2, 3)),
+        *(f"{x}Cur{k}" for k in (1, 2, 3) for x in ("Phase", "Bus")),
+    ]
+    table = np.column_stack([T, 9 * Q, 9 * DQ, 9 * TAU, Q, DQ, TAU, 7 * Q, np.ones((N, 6))])
+    path, out = text(tmp_path / "a.csv", names, table=table), tmp_path / "rec.parquet"
+    robot = tmp_path / "arm.urdf"
+    robot.write_text(urdf(("joint_1", "joint_2", "joint_3")))
+    for options in ([], ["--robot", str(robot)], ["--columns", "t=time,q=position?,dq=velocity?,tau=torque?"]):
+        assert main(["import", str(path), "--out", str(out), *options]) == 0
+        (r,) = read_recordings(out)
+        assert r.q == pytest.approx(Q) and r.dq == pytest.approx(DQ) and r.tau == pytest.approx(TAU)
+    said = capsys.readouterr().out
+    assert "q = Position1 .. Position3" in said and "tau = Torque1 .. Torque3 of" in said
+    how = ["--columns", "t=Time,q=pos*,dq=vel*,tau=torque?"]
+    assert main(["import", str(path), "--out", str(out), *how]) == 2
+    assert "names 1 of t, 6 of q, 6 of dq, 3 of tau" in (said := capsys.readouterr().err) and "q=position?" in said
+
+
+def test_the_rate_is_that_of_the_stamps(tmp_path: Path) -> None:
+    """Stamps in whole milliseconds, most 10 ms apart and some 11: the rate that is written down is no finding of `stopset inspect`."""
+    out = tmp_path / "rec.parquet"
+    t = np.cumsum(np.r_[0.0, np.resize([0.010, 0.010, 0.011], N - 1)])
+    t[200:] += 0.05  # a gap counts for nothing
+    table = np.column_stack([np.round(t, 3), ALL[:, 1:]])
+    assert main(["import", str(text(tmp_path / "a.csv", WRITTEN["plain"], table=table)), "--out", str(out)]) == 0
+    assert read_meta(out).rate_hz == pytest.approx(3 / 0.031, rel=1e-3)
+
+
+def test_joints_are_those_of_the_chain_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a robot with two arms on a column: what the refusal asks for is an option of this command."""
+    robot, out = tmp_path / "two.urdf", tmp_path / "rec.parquet"
+    arms = urdf(("waist", "hip", "knee", "toe")).replace("</robot>", "")
+    for name in ("left", "right"):
+        arms += (
+            f'<link name="{name}"/><joint name="to_{name}" type="revolute"><parent link="l4"/><child link="{name}"/>'
+            '<axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="3" effort="100"/></joint>'
+        )
+    robot.write_text(arms + "</robot>")
+    path = text(tmp_path / "a.csv", WRITTEN["plain"])
+    how = ["import", str(path), "--out", str(out), "--robot", str(robot)]
+    assert main(how) == 2 and "--tip" in capsys.readouterr().err
+    assert main([*how, "--tip", "l4", "--lock", "waist"]) == 0
+    assert read_meta(out).joints == ("hip", "knee", "toe")
 
 
 def test_joints_are_those_of_the_robot_whatever_the_order(tmp_path: Path) -> None:
@@ -233,7 +284,7 @@ def test_currents_become_torques_by_stated_constants(tmp_path: Path, capsys: pyt
         (lambda t: t.replace("tau2", "other"), [], "tau"),
         (lambda t: t.replace("q1", "x1").replace("q2", "x2").replace("q3", "x3"), [], "no column tells"),
         (lambda t: t.replace("q3", "y"), [], "--columns"),
-        (lambda t: t.rsplit(",", 3)[0], [], "cut off"),
+        (lambda t: t.replace(t.splitlines()[9], t.splitlines()[9].rsplit(",", 3)[0]), [], "cut off"),
         (lambda t: t.replace(",0.", ",nonsense", 1), [], "expected"),
         (lambda t: "\n".join(t.splitlines()[:5]), [], "at least"),
         (lambda t: "", [], "no row"),
@@ -256,6 +307,31 @@ def test_what_is_no_table_ends_in_one_sentence(
     said = capsys.readouterr().err.strip()
     assert word in said and "\n" not in said and ("a.csv" in said or options), said
     assert not (tmp_path / "rec.parquet").exists()
+
+
+@pytest.mark.parametrize("mark", [",", ";", " "])
+@pytest.mark.parametrize("named", [True, False])
+def test_a_last_row_that_is_cut_off_is_left_out_and_told(
+    mark: str, named: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where a logger was killed: all rows before it are whole."""
+    path, out = text(tmp_path / "a.txt", WRITTEN["plain"] if named else [], mark), tmp_path / "rec.parquet"
+    path.write_text(path.read_text().rsplit(mark, 3)[0])
+    how = [] if named else ["--columns", "t,q,dq,tau", "--joints", "hip,knee,toe"]
+    assert main(["import", str(path), "--out", str(out), *how]) == 0
+    assert "the last row is cut off and left out" in capsys.readouterr().out
+    assert read_recordings(out).trials[0].tau == pytest.approx(TAU[:-1])
+
+
+def test_what_other_columns_hold_refuses_no_table(tmp_path: Path) -> None:
+    """A column that nobody asked for is whole numbers for long, then a word or the smallest of numbers."""
+    rows = 30_000
+    table = np.column_stack([np.arange(rows) / RATE, np.resize(ALL[:, 1:], (rows, 9)), np.zeros(rows)])
+    path, out = text(tmp_path / "a.csv", [*WRITTEN["plain"], "mode"], table=table), tmp_path / "rec.parquet"
+    for last in ("2.45926e-319", "stopped"):
+        path.write_text(path.read_text().rstrip().rpartition(",")[0] + f",{last}\n")
+        assert main(["import", str(path), "--out", str(out)]) == 0
+        assert len(read_recordings(out).trials[0].t) == rows
 
 
 @pytest.mark.parametrize("name", ["a.npz", "a.mat", "a.parquet", "a.txt"])

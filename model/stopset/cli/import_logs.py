@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stopset.cli.common import add_output_options, check_outputs, say, write_json
+from stopset.cli.common import add_output_options, add_robot_options, check_outputs, say, write_json
 from stopset.cli.steps import steps
 
 HELP = "turn CAN logs, ROS bags, MCAP files or tables of other tools into recordings"
@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: the robot's; of RTDE the maker's)",
     )  # fmt: skip
     parser.add_argument("--robot", metavar="URDF", help="tables: the joints are this robot's")
+    add_robot_options(parser)
     parser.add_argument(
         "--columns", metavar="T=NAME,Q=PATTERN,..",
         help="tables: which columns hold time, angles, speeds, torques or currents where their names do not tell, e.g. "
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             f"--joints {args.joints} names {', '.join(twice)} twice; expected each joint once, from base to flange"
         )
     constants = _numbers(args.torque_constant) if args.torque_constant else None
-    stated = Stated(args.columns, joints or _joints_of(args.robot), args.degrees, constants, args.cycle)
+    stated = Stated(args.columns, joints or _joints_of(args.robot, args.tip, args.lock), args.degrees, constants, args.cycle)
     trials: list[Recording] = []
     meta: Meta | None = None
     with steps("import", args.log, quiet=args.quiet) as progress:
@@ -115,10 +116,10 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _joints_of(urdf: str | None) -> tuple[str, ...] | None:
+def _joints_of(urdf: str | None, tip: str | None, lock: tuple[str, ...]) -> tuple[str, ...] | None:
     from stopset.offline.description import load_robot
 
-    return load_robot(urdf).joints if urdf else None
+    return load_robot(urdf, tip=tip, lock=lock).joints if urdf else None
 
 
 def _numbers(text: str) -> tuple[float, ...]:

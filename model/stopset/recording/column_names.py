@@ -18,12 +18,14 @@ KINDS = {
     "q": frozenset({"q", "pos", "position", "positions", "angle", "angles", "theta"}),
     "dq": frozenset({"dq", "qd", "qdot", "dotq", "vel", "velocity", "velocities", "speed", "speeds", "omega"}),
     "tau": frozenset({"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "moments"}),
-    "i": frozenset({"i", "current", "currents", "curr"}),
+    "i": frozenset({"i", "current", "currents", "curr", "cur"}),
 }
 NOT_DONE = frozenset(
     {"d", "des", "desired", "target", "cmd", "command", "commanded", "ref", "reference", "goal", "set", "setpoint", "planned"}
 )
-NOT_OURS = frozenset({"ext", "external", "error", "err", "tcp", "ee", "cartesian", "acc", "acceleration", "ddq", "qdd", "jerk"})
+NOT_OURS = frozenset(
+    {"ext", "external", "error", "err", "tcp", "ee", "cartesian", "acc", "acceleration", "ddq", "qdd", "qddot", "ddotq", "jerk"}
+)
 FILLING = frozenset({"actual", "measured", "meas", "msr", "field", "msg", "state", "states", "joint", "joints", "j", "axis", "a"})
 UNITS = frozenset({"deg", "degrees", "rad", "radians", "s", "ms", "us", "ns", "sec", "nm", "n", "m", "amp", "ma"})
 KNOWN = frozenset().union(*KINDS.values(), NOT_DONE, NOT_OURS, FILLING, UNITS)
@@ -52,11 +54,14 @@ class TableColumns:
 
 
 def words(name: str) -> tuple[str, ...]:
-    """The words and numbers of a column's name, small."""
+    """The words and numbers of a column's name, small: of dataDotQ_NF_1 data, dotq, nf and 1."""
     found: list[str] = []
     for piece in re.findall(r"[A-Za-z]+|\d+", name):
-        known = piece.lower() in KNOWN
-        found += [piece.lower()] if known else [w.lower() for w in re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", piece)]
+        rest = [piece] if piece.lower() in KNOWN else re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", piece)
+        while rest:  # letters that make a known word together are one: DotQ is a speed, and no Q
+            together = next((k for k in range(len(rest), 1, -1) if "".join(rest[:k]).lower() in KNOWN), 1)
+            found.append("".join(rest[:together]).lower())
+            rest = rest[together:]
     return tuple(found)
 
 
@@ -74,6 +79,9 @@ def by_name(names: Sequence[str], joints: Sequence[str] | None) -> TableColumns:
     picked = {"q": tuple(found["q"][k] for k in keys)}
     counted = _by_number(found["q"]) == picked["q"]
     for kind in ("dq", "tau", "i"):
+        if kind == "i" and picked["tau"]:
+            picked["i"] = ()  # torques need none
+            continue
         of_these = tuple(found[kind][k] for k in keys if k in found[kind])
         picked[kind] = ((_by_number(found[kind]) if counted else None) or of_these) if found[kind] else ()
         if len(picked[kind]) != len(keys) and found[kind]:
@@ -104,12 +112,20 @@ def _joints(q: Mapping[JointWords, str], joints: Sequence[str] | None, names: Se
         ends = [[k for k in q if n and k[-len(n) :] == n] for n in named]
         if all(len(e) == 1 for e in ends) and len({e[0] for e in ends}) == len(ends):
             return [e[0] for e in ends]
+        q = _bare(q)
         if len(q) != len(joints):
             raise RecordingError(
                 f"{len(q)} columns tell angles ({_few(list(q.values()))}) of {len(joints)} joints ({', '.join(joints)}); expected one of each: {DO}"
             )
+    q = _bare(q)
     place = {name: k for k, name in enumerate(_by_number(q) or q.values())}
     return sorted(q, key=lambda k: place[q[k]])
+
+
+def _bare(columns: Mapping[JointWords, str]) -> Mapping[JointWords, str]:
+    """Of several columns of each joint those with its number and no further word, as Position1 beside PositionComputed1; else all."""
+    bare: dict[JointWords, str] = {k: name for k, name in columns.items() if len(k) == 1 and k[0].isdigit()}
+    return bare if {k[-1:] for k in columns} == set(bare) else columns
 
 
 def _by_number(columns: Mapping[JointWords, str]) -> tuple[str, ...] | None:
@@ -147,7 +163,9 @@ def asked(names: Sequence[str], text: str, joints: Sequence[str] | None) -> Tabl
             raise RecordingError(
                 f"--columns {text}: {part!r} is no t=, q=, dq=, tau= or i= with a column's name or pattern; {DO}"
             )
-        hit = tuple(n for n in names if fnmatchcase(n, pattern))
+        hit = tuple(n for n in names if fnmatchcase(n, pattern)) or tuple(
+            n for n in names if fnmatchcase(n.lower(), pattern.lower())
+        )
         if not hit:
             raise RecordingError(
                 f"--columns {part}: no such column; expected some of {_few(names)}: give names as they stand there"
@@ -161,7 +179,8 @@ def asked(names: Sequence[str], text: str, joints: Sequence[str] | None) -> Tabl
     if not q or len(set(lengths.values())) > 1 or len(found.get("t", ("t",))) != 1:
         got = ", ".join(f"{len(x)} of {kind}" for kind, x in found.items())
         raise RecordingError(
-            f"--columns {text} names {got}; expected one column of t and as many of each other as there are joints: {DO}"
+            f"--columns {text} names {got}; expected one column of t and as many of each other as there are joints: narrow the patterns (? is one "
+            "character), e.g. q=position?"
         )
     return _stated(found, len(q), joints)
 

@@ -15,8 +15,12 @@ LINES = 20  # looked at for how the numbers are written
 LONGEST = 1 << 20  # characters of one
 
 
-def open_csv(path: Path, is_signal: Callable[[str], bool]) -> pacsv.CSVStreamingReader:
+def open_csv(
+    path: Path, is_signal: Callable[[str], bool], *, signals_alone: bool = False, cut: bool = False
+) -> pacsv.CSVStreamingReader:
     """A reader of the table's batches; columns that ``is_signal`` names are doubles, whatever their first rows hold.
+
+    ``signals_alone``: of the others nothing is used, so whatever they hold is text. A last row ``cut`` off is left out.
 
     Raises `pyarrow.ArrowInvalid`, `OSError`, and `UnicodeDecodeError` where the text is neither UTF-8 nor UTF-16 with its mark.
     """
@@ -33,11 +37,17 @@ def open_csv(path: Path, is_signal: Callable[[str], bool]) -> pacsv.CSVStreaming
     names = [name.strip() for name in next(csv.reader([header], delimiter=separator, skipinitialspace=True), [])]
     read = pacsv.ReadOptions(encoding=encoding, skip_rows=remarks + 1, column_names=names)
     parse = pacsv.ParseOptions(delimiter=separator)
-    plain = pacsv.open_csv(path, read, parse, pacsv.ConvertOptions(decimal_point=decimal))
+    whole = path.read_bytes().rpartition(b"\n")[0] if cut else b""
+
+    def source() -> Path | pa.BufferReader:
+        return pa.BufferReader(whole) if cut else path
+
+    plain = pacsv.open_csv(source(), read, parse, pacsv.ConvertOptions(decimal_point=decimal))
+    types = dict.fromkeys((n for n in names if not is_signal(n)), pa.string()) if signals_alone else {}
     # types are read off the first block: an arm that stands still in it has whole numbers, a channel that is late none
     early = [f.name for f in plain.schema if is_signal(f.name) and (pa.types.is_integer(f.type) or pa.types.is_null(f.type))]
-    if not early:
+    types |= dict.fromkeys(early, pa.float64())
+    if not types:
         return plain
     plain.close()
-    doubles = pacsv.ConvertOptions(decimal_point=decimal, column_types=dict.fromkeys(early, pa.float64()))
-    return pacsv.open_csv(path, read, parse, doubles)
+    return pacsv.open_csv(source(), read, parse, pacsv.ConvertOptions(decimal_point=decimal, column_types=types))

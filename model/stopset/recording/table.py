@@ -17,8 +17,10 @@ from stopset.recording.tabular import SUFFIXES, Tabular, header, open_table
 from stopset.recording.types import Meta, Recording
 from stopset.types import Array
 
+FEW = 1.6  # periods without a row that are a lost sample
 GAP = 5.5  # periods without a row that end a trial
 SHORTEST = 10  # rows
+CUT_OFF = "; the last row is cut off and left out"
 FASTEST, SLOWEST = 1e-4, 0.1  # [s] between two rows of any recording of an arm
 
 
@@ -68,13 +70,15 @@ def read_table(paths: Sequence[Path], stated: Stated, effort: str, suite: int) -
         dq = np.radians(dq)
     tau, of = _torque(path, columns, numbers, stated.constants)
     trials = _trials(path, t, q, dq, tau, suite)
-    rate = 1.0 / float(np.median(np.diff(trials[0].t)))
+    step = np.diff(trials[0].t)
+    rate = 1.0 / float(step[step < FEW * np.median(step)].mean())
     meta = Meta(
         joints=columns.joints, effort=effort, velocity="derived" if dq is None else "measured",
         clock="assumed" if columns.t is None else "recorded", rate_hz=rate,
     )  # fmt: skip
     left = [n for n in names if n not in {columns.t, *columns.q, *columns.dq, *columns.tau, *columns.i}]
     said = f"{columns} of {', '.join(columns.joints)}; {unit}{'; angles in degrees' if degrees else ''}{of}"
+    said += CUT_OFF if any(x.cut for x in tables) else ""
     return meta, trials, said + (f"; {len(left)} other columns left out" if left else "")
 
 

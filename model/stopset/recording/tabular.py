@@ -23,18 +23,23 @@ from stopset.words import is_number
 TEXTS = frozenset({".csv", ".txt", ".tsv", ".dat"})
 SUFFIXES = TEXTS | {".parquet", ".npz", ".mat"}
 REMARKS = ("#", "%")
+LAST = 1 << 16  # bytes at a text's end in which its last row is looked for
 MAT_HEAD, PACKED = 128, 15  # bytes of a MATLAB file before its first element, and the type of one that is compressed
 PIECE = 1 << 16  # bytes unpacked at once, to count them
 
 
 @dataclass(frozen=True, slots=True)
 class Tabular:
-    """A file's columns: their names, none where it has no header, how many, and ``load`` for the numbers of some by their places."""
+    """A file's columns: their names, none where it has no header, how many, and ``load`` for the numbers of some by their places.
+
+    ``cut``: the last row of a text, where it ends within it; it is left out.
+    """
 
     path: Path
     names: tuple[str, ...]
     width: int
     load: Callable[[Sequence[int]], list[Array]]
+    cut: str = ""
 
 
 def open_table(path: Path) -> Tabular:
@@ -56,14 +61,16 @@ def _text(path: Path) -> Tabular:
     remark, first = _begins(path)
     marks = re.findall(r"[,;\t]", first.strip())
     split = _fields(first)
+    cut = _cut(path, len(split))
     if not is_number(split[0]):
         names = tuple(split)
         if marks:
-            return Tabular(path, names, len(names), lambda places: _separated(path, names, places))
-        return Tabular(path, names, len(names), lambda places: _plain(path, places, None, headed=True))
+            return Tabular(path, names, len(names), lambda places: _separated(path, names, places, cut), cut)
+        return Tabular(path, names, len(names), lambda places: _plain(path, places, None, cut, headed=True), cut)
     above = tuple(_fields(remark))
     names = above if len(above) == len(split) else ()
-    return Tabular(path, names, len(split), lambda places: _plain(path, places, marks[0] if marks else None, headed=False))
+    mark = marks[0] if marks else None
+    return Tabular(path, names, len(split), lambda places: _plain(path, places, mark, cut, headed=False), cut)
 
 
 def _begins(path: Path) -> tuple[str, str]:
@@ -83,11 +90,19 @@ def _fields(line: str) -> list[str]:
     return [x.strip(' "') for x in line.strip().split(marks[0])] if marks else line.split()
 
 
-def _separated(path: Path, names: Sequence[str], places: Sequence[int]) -> list[Array]:
+def _cut(path: Path, width: int) -> str:
+    """The last row of a text that ends within it, with fewer fields than ``width``, as where a logger was killed; else nothing."""
+    with path.open("rb") as f:
+        f.seek(max(0, path.stat().st_size - LAST))
+        last = f.read().decode("utf-8", errors="replace").rpartition("\n")[2]
+    return last if last.strip() and len(_fields(last)) < width else ""
+
+
+def _separated(path: Path, names: Sequence[str], places: Sequence[int], cut: str) -> list[Array]:
     """Columns by their places in a table as `open_csv` reads them."""
     used = {names[k] for k in places}
     try:
-        with open_csv(path, used.__contains__) as reader:
+        with open_csv(path, used.__contains__, signals_alone=True, cut=bool(cut)) as reader:
             table = reader.read_all()
     except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as e:
         raise RecordingError(
@@ -96,10 +111,10 @@ def _separated(path: Path, names: Sequence[str], places: Sequence[int]) -> list[
     return [_numbers(path, names[k], table.column(k).to_numpy()) for k in places]
 
 
-def _plain(path: Path, places: Sequence[int], mark: str | None, *, headed: bool) -> list[Array]:
+def _plain(path: Path, places: Sequence[int], mark: str | None, cut: str, *, headed: bool) -> list[Array]:
     """Columns by their places in a table of plain numbers."""
     with path.open(encoding="utf-8-sig", errors="replace") as f:
-        rows = (line for line in f if line.strip() and not line.lstrip().startswith(REMARKS))
+        rows = (line for line in f if line.strip() and not line.lstrip().startswith(REMARKS) and line != cut)
         try:
             table = np.loadtxt(islice(rows, int(headed), None), delimiter=mark, usecols=places, ndmin=2)
         except (ValueError, IndexError) as e:

@@ -14,7 +14,7 @@ import numpy as np
 from stopset.errors import RecordingError
 from stopset.monitor.config import TORQUES
 from stopset.recording import Meta, Recording
-from stopset.recording.table import Stated, columns_of, read_table
+from stopset.recording.table import CUT_OFF, Stated, columns_of, read_table
 from stopset.recording.tabular import header
 
 JOINTS = (
@@ -64,8 +64,8 @@ def read_rtde(
             raise RecordingError(f"{path}: columns {', '.join(missing)} are missing; expected {stem}_0 to {stem}_5: record them")
     columns = ",".join(["t=timestamp", *(f"{kind}={stem}_?" for kind, stem in kinds.items())])
     stated = Stated(columns, joints, constants=constants)
-    meta, trials, _ = read_table([path], stated, "motor_torque", suite)
-    return meta, trials, TAKEN[usable[0]] + _payload(path, head)
+    meta, trials, said = read_table([path], stated, "motor_torque", suite)
+    return meta, trials, TAKEN[usable[0]] + _payload(path, head) + (CUT_OFF if CUT_OFF in said else "")
 
 
 def _payload(path: Path, head: list[str]) -> str:

@@ -92,5 +92,10 @@ def best_order(
     if len(models) == 1:
         return Chosen(models[0], f"model {kind} of order {models[0].order}")
     found = best_first([ModelCandidate(m, prediction_error(m, seen(m), dt, HORIZON)) for m in models], HORIZON)
-    table = ", ".join(f"order {c.abstraction.order}: {1e3 * c.error:.2f} mrad" for c in found)
+    table = ", ".join(f"order {c.abstraction.order}: {_error(c.error)}" for c in found)
     return Chosen(found[0].abstraction, f"model {kind}: order {found[0].abstraction.order} by prediction error ({table})")
+
+
+def _error(rad: float) -> str:
+    """An angle that is wrong by more than a turn is none."""
+    return f"{1e3 * rad:.2f} mrad" if rad < 2 * np.pi else "runs away"

@@ -20,7 +20,7 @@ from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Beforehand
 from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale, fitted_deviations
-from stopset.offline.diagnose.evidence.weighing import Misfit, weighed
+from stopset.offline.diagnose.evidence.weighing import Misfit, joint_shares, weighed
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
 from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
@@ -182,6 +182,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
         why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
         why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
+        why = why or _of_single_joints(found, left, claim)
         objections.append(why or _of_the_load(found, left, misfit, claim))
     steps = _sound(found, already, objections)
     out, error = [], found.before
@@ -239,6 +240,24 @@ def _of_the_load(found: Found, left: Left, misfit: Misfit | None, claim: Claim) 
         f"what the load's torque may be off by at single joints explains most of it (score {max(beside, 0.0):.0f} beside that, {alone:.0f} "
         "where the load is taken to be told exactly)"
     )
+
+
+def _of_single_joints(found: Found, left: Left, claim: Claim) -> str:
+    """Why a law of the whole arm is no finding: that each joint has a share of its own is as sure as an effect must be that is named, and one is
+    off by twice what a law's form is ever taken to be off.
+
+    Its number is one for all joints, however it came about; of a load they may disagree by their drives (`weighed`).
+    """
+    c = claim.scored.candidate
+    if c.joints or c.effect.carried:
+        return ""
+    gain, shares = joint_shares(found.now, left.hyper, left.theta, c)
+    if gain < limit.THRESHOLD or max(map(abs, shares.values())) < limit.SURE * limit.FORMS[-1]:
+        return ""
+    each = ", ".join(
+        f"{found.now.engine.data.joints[j]} {1.0 + s:.2g}" for j, s in sorted(shares.items(), key=lambda x: -abs(x[1]))[:2]
+    )
+    return f"the joints do not agree on it (times what they say together: {each}; score {gain:.0f}): what it explains is of each by itself"
 
 
 def _by_all_joints(

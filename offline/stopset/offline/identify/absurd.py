@@ -15,9 +15,9 @@ from stopset.offline.conform.tightness import JUDGED, Tightness
 LATE = 0.5  # samples: a speed that comes later than this after the slope of its positions is told
 MOVES = 5.0  # a joint moves if it is faster than so many times its noise
 BEHIND_GEARS = (
-    "torque behind the gears moves links without their rotors, and what a model lacks of it makes light links fast: such torque tells what the "
-    "links weigh and rub, not where they go; record the drives' own torque (motor current times torque constant and gear ratio), or use this "
-    "model for diagnosis only"
+    "the torque shows no rotors, so links move without them, and what a model lacks of it makes light links fast: measured behind the gears it "
+    "tells what the links weigh and rub, not where they go; record the drives' own torque (motor current times torque constant and gear ratio), "
+    "with faster motions where it is that already, or use this model for diagnosis only"
 )
 RANGES = 3.0  # an open-loop prediction that errs by more than so many of the joint's ranges has diverged
 
@@ -91,8 +91,8 @@ def absurd(sets: UncertaintySets, errors: Mapping[str, Mapping[str, Any]], found
             )
         elif diverges:
             wide.append(
-                f"open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: torque behind the gears moves links "
-                "without their rotors, so predictions over seconds say nothing of them"
+                f"open-loop predictions of {j} err by {far:.3g} rad, and it moves over {span:.3g} rad: torque that shows no rotors, as "
+                "behind the gears, moves links without them, so predictions over seconds say nothing of them"
             )
         torque, width = row["torque_rmse"], float(sets.U.width[k])
         if torque is not None and width < 0.5 * torque:

@@ -49,7 +49,7 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
         )  # fmt: skip
     if dq_sound and t.jumps > max(2, NOTABLE_GAPS * t.samples):
         out.append(
-            Finding("dropped_samples", "error", None,
+            Finding("dropped_samples", "error" if t.jumps > 0.005 * t.samples else "warning", None,
                     f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
                     "steps of one period", "samples were lost and the stamps made up: record with real stamps", t.jumps)
         )  # fmt: skip

@@ -173,7 +173,7 @@ def _derived(t: SignalSums, joints: Sequence[str], meta: Meta, period: float) ->
     for j, joint in enumerate(joints):
         grain = t.resolution[j] * 0.29 / period  # noise that the encoder's steps leave in a difference of q
         rms = np.sqrt(t.difference[:, j].min() / t.samples)
-        if np.isfinite(grain) and grain > 1e-4 and rms < 0.1 * grain and t.speed2[j] > 0:
+        if t.moved[j] and np.isfinite(grain) and grain > 1e-4 and rms < 0.1 * grain and t.speed2[j] > 0:
             names.append(joint)
     if not names:
         return []

@@ -27,6 +27,8 @@ LONG = 50  # samples from which on a trial's mean period is known to a per cent
 FOLLOWS = 0.4  # relative: a step of q is what dq says
 SETTLES = 3  # steps at a trial's start that dq does not explain, from which on it is said
 PLATEAU = 5  # equal samples in a row at a signal's largest value
+NEAR_TOP = 0.9  # of it: sizes whose digits are its own
+ROUND = 10.0  # digits by which a smooth maximum falls on either side of the samples that read alike, over as many samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,14 +170,30 @@ class SignalSums:
 
     def _torn(self, r: Recording, h: float) -> NDArray[np.bool_]:
         """(N - 1, n) the steps of q over which it cannot be held against dq: where it jumps, and where nothing was recorded."""
-        dt = np.diff(r.t)[:, None]
+        # a row that repeats the one before is no reading: the next one is as old as that
+        new = np.r_[True, np.any(np.diff(r.q, axis=0) != 0, axis=1) | np.any(np.diff(r.tau, axis=0) != 0, axis=1)]
+        read = np.maximum.accumulate(np.where(new, np.arange(len(r.t)), 0))
+        dt = (r.t[1:] - r.t[read[:-1]])[:, None]
         beside = np.diff(r.q, axis=0) - 0.5 * (r.dq[1:] + r.dq[:-1]) * dt
         silent = np.broadcast_to(dt > max(WINDOW, 2 * GAP * h), beside.shape)
         size = np.where(dt > GAP * h, 0.0, np.abs(beside))
         jump = size > np.maximum(JUMP, JUMPS_OUT * np.percentile(size, 95, axis=0))
         jump &= jump.mean(axis=0) < RARE
+        for k, j in np.argwhere(jump):
+            jump[k, j] = not self._caught_up(r, new, read, int(k), int(j))
         self.jumps_of_q += [Jump(int(j), float(r.t[k + 1]), float(beside[k, j]), r.label) for k, j in np.argwhere(jump)]
         return jump | silent
+
+    @staticmethod
+    def _caught_up(r: Recording, new: NDArray[np.bool_], read: NDArray[np.intp], k: int, j: int) -> bool:
+        """Whether from the last ``new`` reading before some that were filled in, up to `WINDOW` ago, the speed explains where a joint is now."""
+        early = np.searchsorted(r.t, r.t[k + 1] - WINDOW)
+        for at in np.unique(read[early : k + 1][~new[early : k + 1]]).tolist():
+            rows = np.r_[at, at + 1 + np.flatnonzero(new[at + 1 : k + 2])]
+            travel = float(np.trapezoid(r.dq[rows, j], r.t[rows]))
+            if abs(r.q[k + 1, j] - r.q[at, j] - travel) < JUMP:
+                return True
+        return False
 
     def _velocity(self, r: Recording, h: float, torn: NDArray[np.bool_]) -> None:
         w = max(3, round(WINDOW / h))
@@ -184,9 +202,8 @@ class SignalSums:
             np.cumsum(0.5 * (r.dq[1:] + r.dq[:-1]) * np.diff(r.t)[:, None], axis=0, out=integral[1:])
             a, b = r.q[w::w] - r.q[:-w:w][: len(r.q[w::w])], integral[w::w] - integral[:-w:w][: len(integral[w::w])]
             whole = ~np.logical_or.reduceat(torn, np.arange(0, len(torn), w), axis=0)[: len(a)]
-            step = np.where(np.isfinite(self.resolution), self.resolution, 0.0)
-            # what the speed of a joint that stands reads is no motion that its angle does not follow
-            stands = (np.ptp(r.q, axis=0) <= IDLE_TRAVEL) & (np.abs(a) <= STILL * step) & (np.abs(b) < IDLE * w * h)
+            # what the speed of a joint that stands reads is no motion that its angle does not follow, nor what it gives way by one of its drive
+            stands = (np.ptp(r.q, axis=0) <= IDLE_TRAVEL) & (np.abs(b) < IDLE * w * h)
             a, b = a * whole * ~stands, b * whole * ~stands
             self.windows += len(a)
             self.travel += np.array([(a * a).sum(axis=0), (a * b).sum(axis=0), (b * b).sum(axis=0)])
@@ -219,11 +236,31 @@ class SignalSums:
                 top = float(size[:, j].max())
                 if top <= 0 or (name == "dq" and top < MOVING):
                     continue
-                run = _longest(size[:, j] >= top * (1 - 1e-6))
+                at_top = size[:, j] >= top * (1 - 1e-6)
+                run = _longest(at_top)
                 # exact zeros are no reading: no torque asked for yet, or no speed
                 usual = _longest((np.diff(x[:, j]) == 0) & (size[1:, j] < 0.95 * top) & (size[1:, j] > 0)) + 1
-                if run >= PLATEAU and run > 2 * usual:
+                if run >= PLATEAU and run > 2 * usual and not _round(size[:, j], at_top, top):
                     self.plateaus.append((name, j, top, run))
+
+
+def _round(size: Array, at_top: NDArray[np.bool_], top: float) -> bool:
+    """Whether every run of a signal's ``size`` (N,) at its ``top`` is a smooth maximum that its digits make flat, and not the edge of a range.
+
+    A parabola that falls by one digit at the end of such a run has fallen by nine a run's length further on, one more by rounding; a signal that
+    is clipped comes and goes as steeply as it was.
+    """
+    decade = 10.0 ** np.floor(np.log10(top))  # digits of a float's decimals: below it they are finer
+    values = np.unique(size[size >= max(decade, NEAR_TOP * top)])
+    digit = float(np.diff(values).min(initial=np.inf))
+    ends = np.flatnonzero(np.diff(np.r_[0, at_top.astype(np.int8), 0])).reshape(-1, 2)
+    if not np.isfinite(digit):
+        return False
+    for a, b in ends.tolist():
+        beside = [size[k] for k in (a - (b - a), b + (b - a) - 1) if 0 <= k < len(size)]
+        if b - a >= PLATEAU and any(top - x > ROUND * digit for x in beside):
+            return False
+    return True
 
 
 def _longest(mask: NDArray[np.bool_]) -> int:

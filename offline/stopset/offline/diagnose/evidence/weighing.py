@@ -97,6 +97,15 @@ def says(now: Hypothesis, hyper: Hyper, c: Candidate) -> float:
     return now.evidence(hyper) - base.evidence(base.fit(hyper)[0])
 
 
+def joint_shares(now: Hypothesis, hyper: Hyper, theta: Array, c: Candidate) -> tuple[float, dict[int, float]]:
+    """Evidence, twice the log Bayes factor, that joints have an arm's law off by shares of their own as wide as any that is asked; and these."""
+    loose = with_forms(now, [c], theta, whole=True)
+    h, p = loose.refit(replace(hyper, forms=(*hyper.forms, limit.FORMS[-1])))
+    cols = loose.forms[-1].cols
+    shares = {joint_of(loose, int(k)): float(p.theta[i]) for k, i in zip(cols, _places(loose, cols), strict=True)}
+    return loose.evidence(h) - now.evidence(hyper), shares
+
+
 def _places(now: Hypothesis, columns: Index) -> list[int]:
     """Where ``columns`` stand among the coefficients of a fit."""
     place = {column: k for k, column in enumerate(now.nuisance.tolist())}
