@@ -176,7 +176,7 @@ class Effect:
     loaded: bool = False
 
     @property
-    def levers(self) -> bool:
+    def moment_arms(self) -> bool:
         """Whether it carries weight by a place and levers of its own."""
         return self.loaded and bool(self.shapes)
 

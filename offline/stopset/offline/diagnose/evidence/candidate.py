@@ -18,7 +18,7 @@ HELD = 1e12  # prior precision of a term held at zero
 
 def has_room(effect: Effect) -> bool:
     """Whether a law's prior may be wider or smaller as a whole: it has many terms, or levers that carry a small part of a weight or all of it."""
-    return len(effect.terms) >= limit.MANY or effect.levers
+    return len(effect.terms) >= limit.MANY or effect.moment_arms
 
 
 @dataclass(frozen=True, slots=True)

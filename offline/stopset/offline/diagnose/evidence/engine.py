@@ -222,7 +222,7 @@ class Engine:
 
     def _measure(self, effect: Effect, joint: int) -> float:
         """What an effect's torque at a joint is a share of [N m]: its friction, or, of levers that carry weight, what gravity loads it with."""
-        if effect.levers and self.loaded((joint,)):
+        if effect.moment_arms and self.loaded((joint,)):
             return float(np.abs(self.source.gravity[:, joint]).max())
         return self.level(joint)
 

@@ -55,22 +55,22 @@ def settle(
     if not top.weighed:
         near_it = (x for x in settled if x.possible and x.evidence > top.evidence - limit.THRESHOLD and x.weighed)
         top = max(near_it, key=lambda x: x.evidence, default=top)
-    stands_apart = any(x is top for x in separate)
-    top = max((x for x in settled if _leaves_as_little(x, top, stands_apart=stands_apart)), key=lambda x: x.evidence, default=top)
+    is_distinct = any(x is top for x in separate)
+    top = max((x for x in settled if _leaves_as_little(x, top, is_distinct=is_distinct)), key=lambda x: x.evidence, default=top)
     top = max((x for x in settled if _stays(x, top)), key=lambda x: x.evidence, default=top)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
 
 
-def _leaves_as_little(plainer: Settled, top: Settled, *, stands_apart: bool) -> bool:
+def _leaves_as_little(plainer: Settled, top: Settled, *, is_distinct: bool) -> bool:
     """Whether a plainer form of the ``top`` law leaves as little, but for what a claim must lower, on motions that were not fitted.
 
-    Evidence of many rows is large for a form that is off by what no prediction shows.  One that ``stands_apart`` says more than that: where the
+    Evidence of many rows is large for a form that is off by what no prediction shows.  One that is `distinct` says more than that: where the
     plainer form needs links that are off by more than their tolerance, it is judged with links as described (`as_described`).
     """
     return (
         refines(top.candidate, plainer.candidate)
         and plainer.weighed
-        and _lowers_too_little(top, plainer, stands_apart=stands_apart)
+        and _lowers_too_little(top, plainer, is_distinct=is_distinct)
     )
 
 
@@ -88,13 +88,13 @@ def _stays(own: Settled, top: Settled) -> bool:
     return not likelier and _lowers_too_little(top, own)
 
 
-def _lowers_too_little(top: Settled, other_law: Settled, *, stands_apart: bool = False) -> bool:
+def _lowers_too_little(top: Settled, other_law: Settled, *, is_distinct: bool = False) -> bool:
     """Whether ``top`` does not lower the held-out error of another law at its joint by what a claim must."""
     if not other_law.possible:
         return False
     (j,) = top.candidate.joints
     finer, other = held_out(top.now, top.hyper), held_out(other_law.now, other_law.hyper)
-    if stands_apart:
+    if is_distinct:
         other = as_described(other_law.now, top.candidate, other, top.hyper)
     lowers = any(share > limit.LOWERED for share in _lowered(other, finer, j))
     return not lowers or not _lowers_on_motions(other_law.now, other_law.hyper, top)
