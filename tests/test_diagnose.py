@@ -595,6 +595,16 @@ def test_a_decision_taken_again_brings_no_second_form_of_a_law_that_is_claimed()
     assert {c.effect.name for c in now.active if c.joints == (1,)} & {"cable", "counterbalance"} == {"cable"}
 
 
+def test_a_gas_spring_is_expected_to_carry_a_share_of_gravity_and_a_spring_to_be_of_the_size_of_friction(engine: Engine) -> None:
+    """Whatever the friction is; and a gas spring's force differs little over its length, so its stiffness is the smaller part."""
+    gas, spring = engine.add_all([(get("counterbalance"), (1,), {"q_0": 3.5, "r": 0.4}), (get("spring"), (1,), {})])
+    for c, large in ((gas, float(np.abs(engine.source.gravity[:, 1]).max())), (spring, engine.level(1))):
+        columns = engine.rows[1].plain(engine.columns(c.effect, c.joints, c.shapes)[1][0])
+        torque = np.sqrt(np.mean(columns**2, axis=0)) * c.sd
+        assert torque == pytest.approx([0.3 * large * t.share for t in c.effect.terms])
+    assert gas.sd[0] < 0.5 * gas.sd[1] and gas.roomy and not spring.roomy
+
+
 @pytest.mark.parametrize(
     ("effect", "shapes"), [("elasticity", {"K": 900.0, "D": 4.0}), ("delay", {"d0": 0.012}), ("asymmetric_coulomb", {})]
 )

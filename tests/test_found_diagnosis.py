@@ -197,6 +197,13 @@ def test_a_gas_spring_is_no_straight_one(shared_data) -> None:  # type: ignore[n
     assert answer["named"] == ["counterbalance:shoulder_lift_joint"], answer
 
 
+@pytest.mark.shared
+def test_a_gas_spring_is_judged_beside_links_as_described(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """A spring beside links ten tolerances off left 0.5 % more of the motions that were not fitted, and was named."""
+    case, robot = found_pairs.weeks_later(found_pairs.drawn(122147, 6), 122147), str(shared_data("ur10e/robot.urdf"))
+    assert found_pairs.asked(robot, case, 122147)["named"] == ["counterbalance:shoulder_lift_joint"]
+
+
 @pytest.mark.parametrize(
     ("seed", "named"),
     [

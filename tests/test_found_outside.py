@@ -32,3 +32,9 @@ def test_a_drive_that_tells_too_much_tells_no_friction_that_changed() -> None:
     """Beside a torque scale of 14 % the joint's friction "changed" from 0.90 to 1.16 N m: its torque was taken as recorded."""
     answer = found_outside.asked(123012)
     assert answer["named"] == ["torque_gain:bench_2"] and not answer["changed"], answer
+
+
+def test_a_gas_spring_many_times_its_joints_friction_is_no_cable() -> None:
+    """A prior of a share of that friction drew 19 N m towards none, and its levers to an end of their range: a cable was likelier."""
+    answer = found_outside.asked(124003, others=True)
+    assert answer["named"] == ["counterbalance:cobot_2"], answer

@@ -33,6 +33,7 @@ class Term:
 
     ``typical``: its usual size where that is known beforehand; else the diagnosis expects a third of the joint's friction.
     Of a state: its value where a recording begins; else the middle of its range.
+    ``share``: how large its part of the law's torque is expected to be, of the usual size.
     """
 
     symbol: str
@@ -41,6 +42,7 @@ class Term:
     lo: float = float("-inf")
     hi: float = float("inf")
     typical: float = float("nan")
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +174,11 @@ class Effect:
     refines: tuple[str, ...] = ()
     acting: Acting = ""
     loaded: bool = False
+
+    @property
+    def moment_arms(self) -> bool:
+        """Whether it carries weight by a place and levers of its own."""
+        return self.loaded and bool(self.shapes)
 
     def compensated(self, degree: int = 1) -> bool:
         """Whether its torque is taken off the measured one, beside an abstraction whose damping has ``degree`` terms.

@@ -93,7 +93,7 @@ SCALES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of `Tolerance`
 ROTOR_SCALES = (0.3, 0.6, 1.0)  # of `Tolerance`
 DRIVES = 0.058  # of recorded over true torque
 ROTOR_SHIFT = 0.3  # of the inertia stated
-PRIOR_SHARE = 0.3  # of a joint's friction
+PRIOR_SHARE = 0.3  # of a joint's friction, or of the gravity that loads it
 MANY = 4  # terms
 SIZES = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03)  # of such a law's prior
 SAME_DRIVES = 0.01  # of recorded over true torque
@@ -305,8 +305,9 @@ SETTLED = (
               "not beyond 1: more than the tolerance is a finding; a description that is off as a whole no longer excuses one rotor"),
     Threshold("ROTOR_SHIFT", "prior deviation of an inertia that is not the data sheet's, of the one stated", "%",
               "chosen"),
-    Threshold("PRIOR_SHARE", "prior deviation of an effect's torque, of its joint's friction", "%", "chosen: neither tiny nor dominant"),
-    Threshold("MANY", "terms from which on a law's prior may be wider or smaller as a whole", "",
+    Threshold("PRIOR_SHARE", "prior deviation of an effect's torque, of its joint's friction; of a gas spring's, of what gravity loads it with",
+              "%", "chosen: neither tiny nor dominant"),
+    Threshold("MANY", "terms from which on a law's prior may be wider or smaller as a whole, as a gas spring's may", "",
               "ten vague priors would cost a small payload 40 points"),
     Threshold("SIZES", "sizes of that prior; each is charged for the choice", "",
               "chosen: the grid that evidence chooses from; with none above 1 a load of 2.805 kg, asked of its own recording against the "

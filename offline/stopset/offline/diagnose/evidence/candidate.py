@@ -16,6 +16,11 @@ EffectKey = tuple[str, tuple[int, ...]]  # effect and joints
 HELD = 1e12  # prior precision of a term held at zero
 
 
+def has_room(effect: Effect) -> bool:
+    """Whether a law's prior may be wider or smaller as a whole: it has many terms, or levers that carry a small part of a weight or all of it."""
+    return len(effect.terms) >= limit.MANY or effect.moment_arms
+
+
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """An effect at its joints with fixed shapes; ``cols``: its global columns; ``sd``: prior deviation of each term."""
@@ -35,6 +40,11 @@ class Candidate:
     def given(self) -> float | None:
         """The coefficient where it is not free: a record is shifted as a whole or not at all."""
         return self.shapes.get("d0") if self.effect.enters == "input_delay" else None
+
+    @property
+    def roomy(self) -> bool:
+        """`has_room` of its law."""
+        return has_room(self.effect)
 
     @property
     def price(self) -> float:
@@ -82,8 +92,8 @@ class Alike:
 
     @staticmethod
     def of(candidates: Sequence[Candidate], which: Sequence[int]) -> tuple[list[Alike], list[int]]:
-        """Those ``which`` are alike in that, and the others: given ones, and laws of `limit.MANY` terms."""
-        own = [k for k in which if candidates[k].given is not None or len(candidates[k].effect.terms) >= limit.MANY]
+        """Those ``which`` are alike in that, and the others: given ones, and roomy ones."""
+        own = [k for k in which if candidates[k].given is not None or candidates[k].roomy]
         groups: dict[int, list[int]] = {}
         for k in sorted(set(which) - set(own)):
             groups.setdefault(len(candidates[k].effect.terms), []).append(k)
@@ -112,7 +122,7 @@ def gain_within(S: Array, s: Array, c: Candidate) -> tuple[float, Array, Array]:
     if c.given is not None:
         value = float(2 * c.given * s[0] - c.given**2 * S[0, 0] - c.price)
         return value, np.array([c.given]), np.zeros((1, 1))
-    if len(terms) >= limit.MANY:
+    if c.roomy:
         precision = 1.0 / (np.array(limit.SIZES)[:, None] * c.sd) ** 2
         m, k = precision.shape
         values, thetas, covs = gains(np.broadcast_to(S, (m, k, k)), np.broadcast_to(s, (m, k)), precision)

@@ -169,12 +169,13 @@ class Engine:
             plain = self.rows[i].plain(moving)
             power += (plain**2).sum(axis=0)
             count += len(plain)
-            level += len(plain) * self.level(i) ** 2
+            level += len(plain) * self._measure(effect, i) ** 2
             parts[i] = self.rows[i].column(moving, still)
         rms = np.sqrt(power / max(count, 1))
         if count == 0 or not np.all(np.isfinite(rms)) or rms.max(initial=0.0) < EMPTY:
             return None
-        sd = limit.PRIOR_SHARE * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
+        share = limit.PRIOR_SHARE * np.array([t.share for t in effect.terms])
+        sd = share * np.sqrt(level / count) / np.maximum(rms, 1e-6 * rms.max())
         typical = np.array([t.typical for t in effect.terms])
         sd = np.where(np.isfinite(typical), typical, sd)
         if effect.enters == "inertia" and effect.scope == "joint" and self.robot.rotor[joints[0]] > 0:
@@ -218,6 +219,12 @@ class Engine:
             speed = float(np.sqrt(np.mean(moving**2))) if len(moving) else 0.0
             self._level[joint] = float(self.friction[joint, 0] + self.friction[joint, 1] * speed) or 1.0
         return self._level[joint]
+
+    def _measure(self, effect: Effect, joint: int) -> float:
+        """What an effect's torque at a joint is a share of [N m]: its friction, or, of levers that carry weight, what gravity loads it with."""
+        if effect.moment_arms and self.loaded((joint,)):
+            return float(np.abs(self.source.gravity[:, joint]).max())
+        return self.level(joint)
 
     def drowned(self, effect: Effect, joints: tuple[int, ...]) -> bool:
         """Whether the acceleration that a law is of holds too much of the position's noise.

@@ -77,7 +77,7 @@ def judged(
     """
     if candidate.effect.enters == "input_delay":
         before = held_out(replace(now, held=(int(now.engine.stamps[candidate.joints[0]]),)), hyper)
-    before = _as_described(now, candidate, before, hyper)
+    before = as_described(now, candidate, before, hyper)
     inner = Step(before, after, "", candidate.joints, inner=True)
     whole = replace(inner, inner=False)
     doubtful = _keeps_more(whole, left) and (bool(candidate.joints) or any(c.effect.absorbed for c in earlier))
@@ -92,7 +92,7 @@ def judged(
     return inner if hidden and not too_little(inner, candidate, earlier, left) else whole
 
 
-def _as_described(now: Hypothesis, candidate: Candidate, before: HeldOut, hyper: Hyper) -> HeldOut:
+def as_described(now: Hypothesis, candidate: Candidate, before: HeldOut, hyper: Hyper) -> HeldOut:
     """The error ``before`` a claim with a place and levers of its own, with links that are what their description says, where ``hyper`` of
     the fit with the claim has them so and without it they must be off by more than their tolerance.
 

@@ -15,6 +15,7 @@ from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out, on_motions
 from stopset.offline.diagnose.search.moment_arms import distinct, geared
+from stopset.offline.diagnose.search.predicts import as_described
 from stopset.offline.diagnose.search.refine import refine
 from stopset.offline.diagnose.search.settled import Settled, refines, refitted
 from stopset.offline.diagnose.search.wanted import askable, asked, load_forms
@@ -58,7 +59,8 @@ def settle(
     if not top.weighed:
         near_it = (x for x in settled if x.possible and x.evidence > top.evidence - limit.THRESHOLD and x.weighed)
         top = max(near_it, key=lambda x: x.evidence, default=top)
-    top = max((x for x in settled if _leaves_as_little(x, top)), key=lambda x: x.evidence, default=top)
+    is_distinct = any(x is top for x in separate)
+    top = max((x for x in settled if _leaves_as_little(x, top, is_distinct=is_distinct)), key=lambda x: x.evidence, default=top)
     top = max((x for x in settled if _stays(x, top)), key=lambda x: x.evidence, default=top)
     return top, tuple(s for s in (best[0], *near) if s.candidate.key != top.candidate.key)
 
@@ -68,12 +70,17 @@ def _excused(plainer: Settled, likeliest: Settled) -> float:
     return plainer.mended if _size(plainer.candidate) < _size(likeliest.candidate) else plainer.evidence
 
 
-def _leaves_as_little(plainer: Settled, top: Settled) -> bool:
+def _leaves_as_little(plainer: Settled, top: Settled, *, is_distinct: bool) -> bool:
     """Whether a plainer form of the ``top`` law leaves as little, but for what a claim must lower, on motions that were not fitted.
 
-    Evidence of many rows is large for a form that is off by what no prediction shows.
+    Evidence of many rows is large for a form that is off by what no prediction shows.  One that is `distinct` says more than that: where the
+    plainer form needs links that are off by more than their tolerance, it is judged with links as described (`as_described`).
     """
-    return refines(top.candidate, plainer.candidate) and plainer.weighed and _lowers_too_little(top, plainer)
+    return (
+        refines(top.candidate, plainer.candidate)
+        and plainer.weighed
+        and _lowers_too_little(top, plainer, is_distinct=is_distinct)
+    )
 
 
 def _stays(own: Settled, top: Settled) -> bool:
@@ -90,12 +97,14 @@ def _stays(own: Settled, top: Settled) -> bool:
     return not likelier and _lowers_too_little(top, own)
 
 
-def _lowers_too_little(top: Settled, other_law: Settled) -> bool:
+def _lowers_too_little(top: Settled, other_law: Settled, *, is_distinct: bool = False) -> bool:
     """Whether ``top`` does not lower the held-out error of another law at its joint by what a claim must."""
     if not other_law.possible:
         return False
     (j,) = top.candidate.joints
     finer, other = held_out(top.now, top.hyper), held_out(other_law.now, other_law.hyper)
+    if is_distinct:
+        other = as_described(other_law.now, top.candidate, other, top.hyper)
     lowers = any(share > limit.LOWERED for share in _lowered(other, finer, j))
     return not lowers or not _lowers_on_motions(other_law.now, other_law.hyper, top)
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stopset.effects import catalogue
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate, Scored, has_room
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import has_no_zero, with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
@@ -100,8 +101,11 @@ def added(now: Hypothesis, candidate: Candidate) -> Candidate:
 
 
 def _roomy(now: Hypothesis, c: Candidate, hyper: Hyper) -> Candidate:
-    """A law of many terms with its prior as wide as evidence wants it: the usual one draws a heavy load towards none at all."""
-    if len(c.effect.terms) < limit.MANY:
+    """A law that has room, or whose finer forms have, with its prior as wide as evidence wants it.
+
+    The usual one draws a heavy load towards none at all; and of several forms of a law none is likelier for having more room than another.
+    """
+    if not c.roomy and not any(c.effect.name in e.refines and has_room(e) for e in catalogue().values()):
         return c
     wide = [replace(c, sd=size * c.sd) for size in limit.SIZES if size >= 1.0]
     return max(wide, key=lambda x: now.plus(x).evidence(hyper))
