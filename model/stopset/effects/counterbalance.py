@@ -23,9 +23,8 @@ EFFECT = Effect(
     says="A balancing spring, gas spring or cylinder carries a part of the arm's weight that the description does not tell of.",
     look_at="q",
     terms=(
-        Term(
-            "k_b", "N m", "stiffness times both levers", -1e4, 1e4, share=0.2
-        ),  # makers state 20 to 40 % more force at full compression
+        # makers state 20 to 40 % more force at full compression
+        Term("k_b", "N m", "stiffness times both levers", -1e4, 1e4, share=0.2),
         Term("P", "N m", "preload or pressure force times the shorter lever", -1e4, 1e4),
     ),
     shapes=(
