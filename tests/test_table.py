@@ -128,6 +128,7 @@ def test_joints_are_those_of_the_chain_that_is_named(tmp_path: Path, capsys: pyt
     path = text(tmp_path / "a.csv", WRITTEN["plain"])
     how = ["import", str(path), "--out", str(out), "--robot", str(robot)]
     assert main(how) == 2 and "--tip" in capsys.readouterr().err
+    assert main([*how[:4], "--tip", "l4"]) == 2 and "--robot" in capsys.readouterr().err
     assert main([*how, "--tip", "l4", "--lock", "waist"]) == 0
     assert read_meta(out).joints == ("hip", "knee", "toe")
 

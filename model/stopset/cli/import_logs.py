@@ -67,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
         raise RecordingError(
             f"--joints {args.joints} names {', '.join(twice)} twice; expected each joint once, from base to flange"
         )
+    if (args.tip or args.lock) and not args.robot:
+        raise RecordingError("--tip and --lock are of a robot, and none is given; expected its URDF: add --robot")
     constants = _numbers(args.torque_constant) if args.torque_constant else None
     stated = Stated(args.columns, joints or _joints_of(args.robot, args.tip, args.lock), args.degrees, constants, args.cycle)
     trials: list[Recording] = []
