@@ -201,7 +201,7 @@ def test_a_deviation_counts_what_errs_alike_within_a_motion_once() -> None:
 
 
 def test_of_one_short_recording_a_deviation_is_not_that_of_its_rows() -> None:
-    """An offset that differs from block to block of some seconds: a single part's scores add up to nothing, and it counted as if rows erred by themselves."""
+    """An offset that differs from block to block of some seconds: the scores of a single part add up to nothing, and rows counted by themselves."""
     scenario = prepare(robot_from_text(ARM), [], 63, "short")
     r = max(scenario.recordings(), key=lambda r: r.t[-1] * (r.phase != "static"))
     scatter, start = 0.4, int(np.argmax(np.abs(r.dq[:, 1]) > 0.05))
