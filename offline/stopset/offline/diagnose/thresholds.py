@@ -52,7 +52,6 @@ WHOLE = 0.15  # of a gear's swing
 EDGE = 1e-3  # relative
 FEW_TRIALS = 20
 PART = 10.0  # [s]
-PARTS = 8
 
 TELLING = 0.5  # of a joint's leftover
 SENSORS = 1.25  # variance over the sensors' noise
@@ -232,10 +231,8 @@ SETTLED = (
               "chosen"),
     Threshold("FEW_TRIALS", "trials below which parts of them are taken as independent", "",
               "chosen"),
-    Threshold("PART", "length of such a part, or less", "s",
+    Threshold("PART", "length of such a part", "s",
               "chosen: some motions"),
-    Threshold("PARTS", "such parts, of at least a hold-out's block, that are made of little that was recorded", "",
-              "chosen: Student's factor of seven degrees is 1.2, of one 6.5"),
     Threshold("TELLING", "share of a joint's leftover one claim must explain, where something is left", "",
               "true causes with something left: 0.57 to 1.0 (elasticity 0.61 to 0.78); causes outside the catalogue: 0.03 to 0.47"),
     Threshold("SENSORS", "leftover variance up to which only the sensors' noise is left", "",

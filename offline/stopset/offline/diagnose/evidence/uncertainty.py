@@ -5,8 +5,7 @@ is not: it is alike within a motion.  So the scores of whole trials (of some sec
 they are squared, and a standard deviation is the larger one of the two.  A shape (a Stribeck speed, a stiffness) stands in the
 fit with the derivative of the law's torque by it.
 
-Source: Liang & Zeger (1986), Longitudinal data analysis using generalized linear models; of few parts Student's quantile: Cameron, Gelbach
-& Miller (2008), Bootstrap-based improvements for inference with clustered errors.
+Source: Liang & Zeger (1986), Longitudinal data analysis using generalized linear models.
 """
 
 from __future__ import annotations
@@ -15,14 +14,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import stdtrit
 
-from stopset.offline.campaign.hold_out import BLOCK
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
-from stopset.offline.diagnose.rows.prepare import Prepared
 from stopset.types import Array, Index
 
 TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
@@ -85,9 +81,7 @@ def fitted_deviations(
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))  # a column that these motions leave empty tells nothing
     inverse = np.linalg.pinv(A * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
     S = _scores(engine, wide, hyper, full)
-    free = max(1, len(S) - 1)
-    student = stdtrit(free, 0.975) / TWO_SIDES  # of few parts a scatter is hardly known
-    clustered = inverse @ (S.T @ S * student**2 * len(S) / free + np.diag(P)) @ inverse
+    clustered = inverse @ (S.T @ S * len(S) / max(1, len(S) - 1) + np.diag(P)) @ inverse
     sd = np.sqrt(np.maximum(np.diag(inverse), np.diag(clustered)))
     out = [{t.symbol: float(sd[place[k]]) for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True)} for c in claims]
     for number, symbol, at in shapes:
@@ -160,26 +154,11 @@ def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int,
     return {j: (up[1][j] - down[1][j]) @ value / (2 * STEP * x) for j in up[1]}
 
 
-def _parts(d: Prepared) -> Index:
-    """(N,) what each row may err alike with, numbered through: its trial, or its part of one where they are few.
-
-    Parts are shorter where little was recorded: the scores of a single one add up to nothing, whatever it leaves.
-    """
-    long = np.array([float(np.ptp(d.t[x.rows])) if x.rows.stop > x.rows.start else 0.0 for x in d.trials])
-    part = min(limit.PART, max(BLOCK, float(long.sum()) / limit.PARTS))
-    each = np.maximum(1 + (len(long) == 1), np.round(long / part)) if len(long) < limit.FEW_TRIALS else np.ones(len(long))
-    out, count = np.zeros(len(d.t), np.intp), 0
-    for x, seconds, n in zip(d.trials, long, each.astype(int).tolist(), strict=True):
-        t = d.t[x.rows]
-        if len(t):
-            out[x.rows] = count + np.minimum((t - t[0]) / (seconds or 1.0) * n, n - 1).astype(np.intp)
-            count += n
-    return np.unique(out, return_inverse=True)[1].astype(np.intp)
-
-
 def _scores(engine: Engine, wide: Hypothesis, hyper: Hyper, theta: Array) -> Array:
     """(clusters, columns) derivative of the log likelihood by the coefficients, summed over what may err alike."""
-    cluster = _parts(engine.data)
+    d, few = engine.data, len(engine.data.trials) < limit.FEW_TRIALS
+    parts = (d.t / limit.PART).astype(np.intp) if few else np.zeros(len(d.t), np.intp)
+    _, cluster = np.unique(np.stack([d.trial, parts]), axis=1, return_inverse=True)
     count = int(cluster.max()) + 1
     poses = max(r.still for r in engine.rows)
     out = np.zeros((count + poses, wide.engine.size - 1))
