@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from stopset.effects import Effect, get
+from stopset.offline.campaign.hold_out import BLOCK
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis, Ranked, diagnose
 from stopset.offline.diagnose import thresholds as limit
@@ -198,6 +199,22 @@ def test_a_deviation_counts_what_errs_alike_within_a_motion_once() -> None:
     assert c.std is not None and k.std is not None
     assert 0.5 * scatter / np.sqrt(moving) < c.std < 3 * scatter / np.sqrt(moving)
     assert abs(k.value - 3.0) < 4 * k.std and abs(c.value - 1.0) < 4 * c.std
+
+
+def test_of_one_short_recording_a_deviation_is_not_that_of_its_rows() -> None:
+    """An offset that differs from block to block of some seconds: the scores of a single part add up to nothing, and rows counted by themselves."""
+    scenario = prepare(robot_from_text(ARM), [], 63, "short")
+    r = max(scenario.recordings(), key=lambda r: r.t[-1] * (r.phase != "static"))
+    scatter, start = 0.4, int(np.argmax(np.abs(r.dq[:, 1]) > 0.05))
+    cut = slice(start, start + round(8.0 / float(r.t[1] - r.t[0])))
+    tau = r.tau[cut].copy()
+    wanders = np.where((r.t[cut] - r.t[cut][0]) // BLOCK % 2, -scatter, scatter)
+    tau[:, 1] += 3.0 * r.q[cut, 1] + 1.0 + wanders
+    short = dataclasses.replace(r, t=r.t[cut] - r.t[cut][0], q=r.q[cut], dq=r.dq[cut], tau=tau)
+    found = diagnose(scenario.robot, Recordings(dataclasses.replace(scenario.meta, sources=()), (short,)), names=("spring",))
+    (spring,) = found.claims
+    c = spring.parameters["c"]
+    assert c.std is not None and c.std > 0.5 * scatter / np.sqrt(3)  # parts
 
 
 def test_a_cause_outside_the_catalogue_is_called_unknown() -> None:

@@ -5,7 +5,8 @@ is not: it is alike within a motion.  So the scores of whole trials (of some sec
 they are squared, and a standard deviation is the larger one of the two.  A shape (a Stribeck speed, a stiffness) stands in the
 fit with the derivative of the law's torque by it.
 
-Source: Liang & Zeger (1986), Longitudinal data analysis using generalized linear models.
+Source: Liang & Zeger (1986), Longitudinal data analysis using generalized linear models; of one short recording Student's quantile: Cameron,
+Gelbach & Miller (2008), Bootstrap-based improvements for inference with clustered errors.
 """
 
 from __future__ import annotations
@@ -14,11 +15,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtrit
 
+from stopset.offline.campaign.hold_out import BLOCK
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
+from stopset.offline.diagnose.rows.prepare import Prepared
 from stopset.types import Array, Index
 
 TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
@@ -81,7 +85,10 @@ def fitted_deviations(
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))  # a column that these motions leave empty tells nothing
     inverse = np.linalg.pinv(A * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
     S = _scores(engine, wide, hyper, full)
-    clustered = inverse @ (S.T @ S * len(S) / max(1, len(S) - 1) + np.diag(P)) @ inverse
+    free = max(1, len(S) - 1)
+    # of a short recording's few parts a scatter is hardly known
+    student = stdtrit(free, 0.975) / TWO_SIDES if _is_one_part(engine.data) else 1.0
+    clustered = inverse @ (S.T @ S * student**2 * len(S) / free + np.diag(P)) @ inverse
     sd = np.sqrt(np.maximum(np.diag(inverse), np.diag(clustered)))
     out = [{t.symbol: float(sd[place[k]]) for t, k in zip(c.effect.terms, c.cols.tolist(), strict=True)} for c in claims]
     for number, symbol, at in shapes:
@@ -154,10 +161,17 @@ def _slope(engine: Engine, c: Candidate, symbol: str, value: Array) -> dict[int,
     return {j: (up[1][j] - down[1][j]) @ value / (2 * STEP * x) for j in up[1]}
 
 
+def _is_one_part(d: Prepared) -> bool:
+    """Whether all that was recorded is one motion, too short for two of its parts."""
+    return len(d.trials) == 1 and float(np.ptp(d.t)) < limit.PART
+
+
 def _scores(engine: Engine, wide: Hypothesis, hyper: Hyper, theta: Array) -> Array:
     """(clusters, columns) derivative of the log likelihood by the coefficients, summed over what may err alike."""
     d, few = engine.data, len(engine.data.trials) < limit.FEW_TRIALS
     parts = (d.t / limit.PART).astype(np.intp) if few else np.zeros(len(d.t), np.intp)
+    if _is_one_part(d):
+        parts = (d.t / BLOCK).astype(np.intp)  # the scores of a single part add up to nothing, whatever it leaves
     _, cluster = np.unique(np.stack([d.trial, parts]), axis=1, return_inverse=True)
     count = int(cluster.max()) + 1
     poses = max(r.still for r in engine.rows)
