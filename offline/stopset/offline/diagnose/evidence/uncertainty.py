@@ -5,8 +5,8 @@ is not: it is alike within a motion.  So the scores of whole trials (of some sec
 they are squared, and a standard deviation is the larger one of the two.  A shape (a Stribeck speed, a stiffness) stands in the
 fit with the derivative of the law's torque by it.
 
-Source: Liang & Zeger (1986), Longitudinal data analysis using generalized linear models; of one short recording Student's quantile: Cameron,
-Gelbach & Miller (2008), Bootstrap-based improvements for inference with clustered errors.
+Source: Liang & Zeger (1986), Longitudinal data analysis using generalized linear models; Cameron, Gelbach & Miller (2008), Bootstrap-based
+improvements for inference with clustered errors: the quantile of few parts.
 """
 
 from __future__ import annotations
