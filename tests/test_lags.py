@@ -20,7 +20,7 @@ from stopset.offline.diagnose.evidence.priors import Beforehand
 from stopset.offline.diagnose.evidence.uncertainty import deviations
 from stopset.offline.diagnose.question import taken_std
 from stopset.offline.nominal import load_sums, sums_bytes
-from stopset.offline.nominal.delay import Delay, estimate_delay
+from stopset.offline.nominal.delay import Delay, estimate_delay, has_own_lag
 from stopset.offline.nominal.nominal import lag_entry, trusted
 from stopset.offline.nominal.normal_equations import DELAYS, accumulate
 from stopset.offline.nominal.preprocess import even_pieces
@@ -29,6 +29,8 @@ from stopset.recording import Meta, Recording, Recordings
 from stopset.robot import Robot
 from stopset.simulation import Scenario, prepare
 from stopset.simulation.cell import TICK
+from stopset.simulation.hidden import Hidden
+from stopset.simulation.sizing import inject
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import found_pairs
@@ -129,3 +131,26 @@ def test_sums_of_before_reversals_were_summed_are_read_as_without_any() -> None:
     assert not read.moving[..., -len(DELAYS) - 1].any() and data.moving[..., -len(DELAYS) - 1].any()
     blind = replace(data, moving=read.moving)
     assert estimate_delay(blind, prior_of(s.robot)).common == estimate_delay(read, prior_of(s.robot)).common
+
+
+def _hidden(effect: str, size: float) -> tuple[Robot, Recordings]:
+    """30 s of an arm with one effect at its third joint, at 100 Hz, and what is described of it."""
+    s = prepare(load_robot("lwa4p"), ["none"], 154098, "short", cad="exact")
+    cell, _ = inject(s.cell, [Hidden(effect, 2, size)])
+    return s.robot, recorded(replace(s, cell=cell), ONE, 100.0, Trouble(speed=0.8), 154198)
+
+
+def test_a_rotor_unlike_its_data_sheet_is_no_lag() -> None:
+    """Its torque is in step with the acceleration, ahead of what friction and gravity ask for: 46 +- 6 ms of that joint were taken out."""
+    robot, data = _hidden("rotor_inertia", 0.78)
+    lag = lag_of(robot, data)
+    assert not has_own_lag(lag, 0.01).any()
+    assert abs(lag.joint[2] - HELD) < TWO_SIDES * lag.std[2]
+
+
+def test_a_lag_of_one_joint_is_its_own() -> None:
+    """And stays one though its rotor may be any."""
+    robot, data = _hidden("delay", 0.025)
+    lag = lag_of(robot, data)
+    assert has_own_lag(lag, 0.01).tolist() == [j == 2 for j in range(robot.n)]
+    assert abs(lag.joint[2] + 0.025 - HELD) < TWO_SIDES * lag.std[2]

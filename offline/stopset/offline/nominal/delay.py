@@ -14,6 +14,7 @@ Source: Pawitan (2001), In All Likelihood, sec. 3.4 (profile likelihood and the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -59,10 +60,13 @@ class Delay:
 
 def has_own_lag(delay: Delay, period: float) -> NDArray[np.bool_]:
     """(n,) which joints' torque is late or early on its own: a slow drive or a filter rather than two clocks; ``period`` [s]."""
-    sure = np.isfinite(delay.joint) & np.isfinite(delay.std) & np.isfinite(delay.common_std)
-    off, std = np.abs(delay.joint - delay.common), np.hypot(delay.std, delay.common_std)
+    return np.array([_is_own(*x, delay, period) for x in zip(delay.joint.tolist(), delay.std.tolist(), strict=True)])
+
+
+def _is_own(best: float, std: float, delay: Delay, period: float) -> bool:
+    """Whether a lag of one joint is none of the clocks that all share."""
     least = max(OWN, 1.2 * period if np.isfinite(period) else 0.0)
-    return np.asarray(sure & (np.nan_to_num(off) > np.maximum(least, 4 * np.where(sure, std, np.inf))))
+    return bool(abs(best - delay.common) > max(least, SURE * float(np.hypot(std, delay.common_std))))
 
 
 def lag_weights(d: float) -> Array:
@@ -142,24 +146,41 @@ def estimate_delay(data: NormalEquations, prior: Prior) -> Delay:
     """
     n = data.layout.n
     hold = 0.5 * data.period if np.isfinite(data.period) else 0.0
-    best, std, ends = np.full(n, np.nan), np.full(n, np.inf), np.zeros(n)
-    for j in range(n):
-        G = data.moving[:, j]
-        if data.rows_moving[:, j].sum() < 60:
-            continue
-        ridge = _ridge(G.sum(axis=0), prior, data, j)
-        mean = np.zeros(G.shape[-1] - len(DELAYS))
-        mean[: 10 * n + 1] = prior.mean[data.layout.index(j)[: 10 * n + 1]]
-        profile = _profile(G.sum(axis=0), ridge, mean)
-        best[j], ends[j] = _lowest(profile), _end(profile)
-        if not np.isfinite(best[j]):
-            continue
-        total, groups = G.sum(axis=0), np.flatnonzero(data.rows_moving[:, j] > 0)
-        several = groups if len(groups) >= FEW else groups[:0]
-        left = np.array([_lowest(_profile(total - G[g], ridge, mean)) for g in several])
-        std[j] = _deviation(profile, float(data.rows_moving[:, j].sum()), left)
+    found = [_of_joint(data, prior, j) for j in range(n)]
+    first = _delay(found, hold)
+    for j in np.flatnonzero(has_own_lag(first, data.period)):
+        best, std, end = _of_joint(data, prior, int(j), any_rotor=True)
+        if np.isfinite(std) and not _is_own(best, std, first, data.period):
+            found[j] = best, std, end
+    return _delay(found, hold)
+
+
+def _delay(found: Sequence[tuple[float, float, float]], hold: float) -> Delay:
+    best, std, ends = (np.array(x) for x in zip(*found, strict=True))
     common, common_std = _common(best, std)
     return Delay(best, std, common, common_std, hold, 0.0 if np.isfinite(common_std) else _beyond(ends))
+
+
+def _of_joint(data: NormalEquations, prior: Prior, j: int, *, any_rotor: bool = False) -> tuple[float, float, float]:
+    """Best lag of a joint, its standard error, and the end of the search at which its error falls still, nan and inf where it tells none.
+
+    ``any_rotor``: with a rotor that may be any.  A rotor unlike its data sheet's is a torque in step with the acceleration, ahead of what
+    friction and gravity ask for, and looks like a lag of tens of milliseconds where it may not be what it is.
+    """
+    if data.rows_moving[:, j].sum() < 60:
+        return float("nan"), float("inf"), 0.0
+    n, G = data.layout.n, data.moving[:, j]
+    total, groups = G.sum(axis=0), np.flatnonzero(data.rows_moving[:, j] > 0)
+    ridge = _ridge(total, prior, data, j, any_rotor=any_rotor)
+    mean = np.zeros(G.shape[-1] - len(DELAYS))
+    mean[: 10 * n + 1] = prior.mean[data.layout.index(j)[: 10 * n + 1]]
+    profile = _profile(total, ridge, mean)
+    best, end = _lowest(profile), _end(profile)
+    if not np.isfinite(best):
+        return best, float("inf"), end
+    several = groups if len(groups) >= FEW else groups[:0]
+    left = np.array([_lowest(_profile(total - G[g], ridge, mean)) for g in several])
+    return best, _deviation(profile, float(data.rows_moving[:, j].sum()), left), end
 
 
 def _end(profile: Array) -> float:
@@ -207,8 +228,9 @@ def _common(best: Array, std: Array) -> tuple[float, float]:
     return mean, float(np.sqrt(max(chi2, 1.0) / w.sum()))
 
 
-def _ridge(G: Array, prior: Prior, data: NormalEquations, joint: int) -> Array:
-    """Prior of this joint's columns, scaled by a rough noise level, plus a trace of itself for what has no prior."""
+def _ridge(G: Array, prior: Prior, data: NormalEquations, joint: int, *, any_rotor: bool) -> Array:
+    """Prior of this joint's columns, its rotor's among them but where that may be any, scaled by a rough noise level, plus a trace of itself
+    for what has no prior."""
     index = data.layout.index(joint)
     head = G.shape[0] - len(DELAYS)
     n = data.layout.n
@@ -216,6 +238,7 @@ def _ridge(G: Array, prior: Prior, data: NormalEquations, joint: int) -> Array:
     k = head + int(np.argmin(np.abs(DELAYS)))
     noise = (0.05**2) * G[k, k] / rows  # 5 % of the torque: the ridge only has to make the matrix regular
     out = np.diag(1e-9 * (np.diag(G)[:head] + 1e-9 * np.trace(G)))
-    place = index[: 10 * n + 1]
-    out[: 10 * n + 1, : 10 * n + 1] += noise * prior.precision[np.ix_(place, place)]
+    known = 10 * n if any_rotor else 10 * n + 1
+    place = index[:known]
+    out[:known, :known] += noise * prior.precision[np.ix_(place, place)]
     return out
