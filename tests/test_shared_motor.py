@@ -62,8 +62,7 @@ def test_a_shared_motor_is_named_whichever_way_the_joints_are_counted(
 @pytest.mark.parametrize(("J", "c"), [(-0.1, 1.0), (0.1, -1.0)])
 def test_numbers_of_opposite_sign_are_no_motors(program: tuple[Scenario, Recordings], J: float, c: float) -> None:
     """R-1511: one ratio stands before inertia and both frictions, so all have its sign; such numbers were named, J of -0.094 +- 0.006."""
-    robot, data = program
-    trials = []
+    data, trials = program[1], []
     for r in data:
         tau, w = r.tau.copy(), np.sign(r.dq[:, LIFT] + r.dq[:, BEND])
         for here, there in ((LIFT, BEND), (BEND, LIFT)):
