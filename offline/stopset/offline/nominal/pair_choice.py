@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import lsq_linear
-
 from stopset.effects import Effect, Signals, get
 from stopset.effects.selection import base, usual
 from stopset.offline.campaign.hold_out import blocks
@@ -68,6 +66,8 @@ def _held_out(parts: Sequence[Residual], pair: tuple[int, int], law: Effect | No
 
 def _within_range(X: Array, y: Array, law: Effect | None) -> Array:
     """Least squares with the law's terms, the last columns, inside their ranges: a motor that drives with its friction is none."""
+    from scipy.optimize import lsq_linear
+
     if law is None:
         return np.asarray(np.linalg.lstsq(X, y, rcond=1e-9)[0])
     Q, R = np.linalg.qr(X)
