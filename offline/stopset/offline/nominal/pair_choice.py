@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
+
 from stopset.effects import Effect, Signals, get
 from stopset.effects.selection import base, usual
 from stopset.offline.campaign.hold_out import blocks
