@@ -50,7 +50,7 @@ from stopset.types import Array
 from synthetic import with_payload
 
 GENES, OWN = 700, 350  # numbers of a stop; from which on they are those of its ramp
-NO_BOUND = ("elasticity", "backlash", "coupled_wrist")  # effects with which no stop is bounded
+NO_BOUND = ("elasticity", "backlash", "coupled_wrist", "opposed_wrist")  # effects with which no stop is bounded
 LONGEST = 0.5  # [s] simulated after power-off: few stops last longer, some bounds do
 CHANGED = 0.06  # of a bred stop's numbers
 HALVINGS = 7  # of the search for the weakest drives with a number

@@ -95,6 +95,7 @@ def cases(joints: Sequence[str]) -> dict[str, tuple[Fitted, ...]]:
         "cable": (one("cable", 3, k=3.0, k_2=-1.0, k_3=2.0, c=1.0),),
         "counterbalance": (one("counterbalance", 1, k_b=10.0, P=-25.0, q_0=2.0, r=0.4),),
         "warm_up": (one("warm_up", 1, k_v=-2.0, k_c=-6.0),),
+        "opposed_wrist": (one("opposed_wrist", f"{joints[4]}+{joints[5]}", J=0.1, c=0.5, F=1.0),),
         "payload": (one("payload", None, m=2.0, mx=0.0, my=0.0, mz=0.2, Ixx=0.02, Ixy=0.0, Iyy=0.02, Ixz=0.0, Iyz=0.0, Izz=0.0),),
     }
     out["base_tilt + load_coulomb + stribeck"] = out["base_tilt"] + out["load_coulomb"] + out["stribeck"]

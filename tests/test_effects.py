@@ -225,5 +225,6 @@ def test_the_plain_arms_parts_and_what_is_tried_unasked() -> None:
     parts = ("dry friction", "damping", "constant torque", "torque scale", "load")
     assert [of_part(p).name for p in parts] == ["coulomb", "viscous", "asymmetric_coulomb", "torque_gain", "payload"]
     assert base() == ("coulomb", "viscous")
-    assert usual() == ("load_coulomb", "cubic_viscous", "asymmetric_coulomb") and usual("pair") == ("coupled_wrist",)
+    assert usual() == ("load_coulomb", "cubic_viscous", "asymmetric_coulomb")
+    assert usual("pair") == ("coupled_wrist", "opposed_wrist")
     assert usual_friction() == ("coulomb", "viscous", "load_coulomb", "cubic_viscous")

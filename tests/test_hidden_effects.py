@@ -84,7 +84,7 @@ def test_every_effect_of_the_catalogue_can_be_hidden_and_nothing_else_is_called_
     ours = {name for name, effect in catalogue().items() if effect.law.__module__.startswith("stopset.")}
     # a motor's inertia between two joints is not part of the simulated arm: tests/test_as_found.py finds it on recordings of its own law
     # play shows behind the gear only, where that recorder reads nothing: tests/test_backlash.py
-    between = {"coupled_wrist", "backlash"}
+    between = {"coupled_wrist", "opposed_wrist", "backlash"}
     assert ours - between | set(OUTSIDE) == set(kinds())
     assert {*NAMED, *ABSORBED, *HEAVY, "residual_gravity", "coulomb", "viscous"} == ours - between
 

@@ -56,6 +56,7 @@ REFUSED = {
     "elasticity": (CASES["elasticity"], "elasticity:arm_2_joint: it swings"),
     "backlash": (CASES["backlash"], "backlash:arm_2_joint: its link is loose within a gap"),
     "coupled_wrist": (CASES["coupled_wrist"], f"coupled_wrist:{JOINTS[4]}.{JOINTS[5]}: it looks at ddq_other"),
+    "opposed_wrist": (CASES["opposed_wrist"], f"opposed_wrist:{JOINTS[4]}.{JOINTS[5]}: it looks at ddq_other"),
     "of_acceleration": ((Fitted("of_acceleration", JOINTS[0], {"k0": 1.0}),), "of_acceleration:arm_1_joint: it looks at ddq"),
     "jumping": ((Fitted("jumping", JOINTS[0], {"k0": 1.0}),), "jumping:arm_1_joint: its law cannot be evaluated"),
     "gone": ((Fitted("gone", JOINTS[0], {"k0": 1.0}),), "gone:arm_1_joint: it is in no catalogue"),

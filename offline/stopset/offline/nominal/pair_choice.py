@@ -7,7 +7,7 @@ looks like friction that depends on nothing of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 
@@ -36,12 +36,17 @@ def coupled(
     if len(parts) < 2:
         return ()
     out = []
-    for (a, b), name in product(pairwise(range(robot.n)), usual("pair")):
-        before, after = (_held_out(parts, (a, b), law) for law in (None, get(name)))
-        gain = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
-        if gain.max() > LOWERED and gain.min() > 0:
-            k = int(gain.argmax())
-            out.append(Gain(name, f"{robot.joints[a]}+{robot.joints[b]}", float(np.sqrt(before[k])), float(np.sqrt(after[k]))))
+    for a, b in pairwise(range(robot.n)):
+        before, found = _held_out(parts, (a, b), None), []
+        for name in usual("pair"):
+            after = _held_out(parts, (a, b), get(name))
+            gain = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
+            if gain.max() > LOWERED and gain.min() > 0:
+                k = int(gain.argmax())
+                said = Gain(name, f"{robot.joints[a]}+{robot.joints[b]}", float(np.sqrt(before[k])), float(np.sqrt(after[k])))
+                found.append((float(after.sum()), said))
+        if found:  # laws of one pair are forms of one cause: it is the one that leaves least
+            out.append(min(found, key=lambda x: x[0])[1])
     return tuple(out)
 
 
@@ -52,12 +57,24 @@ def _held_out(parts: Sequence[Residual], pair: tuple[int, int], law: Effect | No
     for half in (0, 1):
         X = np.concatenate([x for k, part in enumerate(rows) if k % 2 != half for x, _ in part])
         y = np.concatenate([y for k, part in enumerate(rows) if k % 2 != half for _, y in part])
-        theta = np.linalg.lstsq(X, y, rcond=1e-9)[0]
+        theta = _within_range(X, y, law)
         for part in (p for k, p in enumerate(rows) if k % 2 == half):
             for j, (x, left) in enumerate(part):
                 squares[j] += float(np.sum((left - x @ theta) ** 2))
                 count[j] += len(left)
     return squares / np.maximum(count, 1)
+
+
+def _within_range(X: Array, y: Array, law: Effect | None) -> Array:
+    """Least squares with the law's terms, the last columns, inside their ranges: a motor that drives with its friction is none."""
+    from scipy.optimize import lsq_linear
+
+    if law is None:
+        return np.asarray(np.linalg.lstsq(X, y, rcond=1e-9)[0])
+    Q, R = np.linalg.qr(X)
+    free = [np.inf] * (X.shape[1] - len(law.terms))
+    bounds = ([*(-x for x in free), *(t.lo for t in law.terms)], [*free, *(t.hi for t in law.terms)])
+    return np.asarray(lsq_linear(R, Q.T @ y, bounds).x)
 
 
 def _rows(x: Residual, pair: tuple[int, int], law: Effect | None) -> list[tuple[Array, Array]]:

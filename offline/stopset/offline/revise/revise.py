@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stopset.artifact import Model, Revision
-from stopset.effects.selection import parse_effect
+from stopset.effects.selection import matches, parse_effect
 from stopset.errors import EffectError, NotConformant, NotCovered
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.settings import Settings, settings_of
@@ -33,6 +33,7 @@ from stopset.offline.revise.judge import (
     by_simulation,
     levelled,
     retained_effects,
+    retained_elsewhere,
     worse_words,
 )  # fmt: skip
 from stopset.progress import Progress, silent
@@ -44,6 +45,14 @@ if TYPE_CHECKING:
     from stopset.offline.identify.signals_file import RetainedSignals
 
 WIDTHS = ("sum_U_width", "sum_U_width_without_margin")
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Why a revision is refused, and the effect that it is refused for; empty where it is taken, and where no one effect is the reason."""
+
+    name: str = ""
+    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +99,17 @@ def add(
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
     found, without, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
+    while refused.name and len(taken) > 1:  # one law speaks against itself, not against what it was named with
+        verdict = _less(model, campaign, verdict, refused)
+        taken = [j for j in verdict.judged if not j.why]
+        found, without, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
     fresh = found.model
     progress("bounding stops before and after")
     before = _figures(model, without) | verdict.first | stop_figures(model, fresh)
     after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
     after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
-    if refused:
-        judged = tuple(replace(j, helps=False, why=j.why or refused) for j in verdict.judged)
+    if refused.why:
+        judged = tuple(replace(j, helps=False, why=j.why or refused.why) for j in verdict.judged)
         return Revised(None, before, after, judged, verdict.words)
     number = model.revisions[-1].number + 1 if model.revisions else 1
     revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
@@ -104,9 +117,21 @@ def add(
     return Revised(revised, before, after, verdict.judged, verdict.words, without, found.retained)
 
 
+def _less(model: Model, campaign: Campaign, verdict: Judgement, refused: Refused) -> Judgement:
+    """The judgement without the one effect that is refused, for its own reason; the others keep their numbers and their laws beside them."""
+    judged = tuple(replace(j, helps=False, why=refused.why) if j.name == refused.name else j for j in verdict.judged)
+    retained = retained_effects(model)
+    added = [f for f in verdict.known if f not in retained and not matches(f, refused.name)]
+    settings = settings_of(model)
+    if own(model, campaign.meta):
+        settings = retained_elsewhere(settings, tuple(model.provenance.get("chosen", ())), added, model.robot.as_described)
+    names = tuple(x for x in verdict.settings.effects if x != refused.name)
+    return replace(verdict, judged=judged, settings=replace(settings, effects=names), known=(*retained, *added))
+
+
 def _revision(
     model: Model, campaign: Campaign, verdict: Judgement, progress: Progress, *, force: bool, keep: Keep
-) -> tuple[Identification, Model | None, str]:
+) -> tuple[Identification, Model | None, Refused]:
     """The new revision, the model of the same recordings without what is added (None: no sets enclose them), and why it is refused.
 
     What is added is to answer for the widths, not friction that the evidence happens to choose otherwise beside it: a revision
@@ -114,11 +139,12 @@ def _revision(
     """
     robot = model.robot.as_described
 
-    def revision(settings: Settings) -> tuple[Identification, str]:
+    def revision(settings: Settings) -> tuple[Identification, Refused]:
         """What is identified so, and why it is refused."""
         found = identified(robot, campaign, settings, progress, known=verdict.known, keep=keep)
-        wrong = widened(before, found.model.revisions[-1].after) or risen(model, found.model, verdict.judged)
-        return found, "" if force else wrong
+        wider = widened(before, found.model.revisions[-1].after)
+        wrong = Refused("", wider) if wider else risen(model, found.model, verdict.judged)
+        return found, Refused() if force else wrong
 
     without: Model | None = model
     if not own(model, campaign.meta):
@@ -128,7 +154,7 @@ def _revision(
     progress("identifying the new revision")
     found, refused = revision(verdict.settings)
     chosen = () if without is None else tuple(without.provenance.get("chosen", ()))
-    if refused and not set(found.model.provenance.get("chosen", ())) <= set(chosen):
+    if refused.why and not set(found.model.provenance.get("chosen", ())) <= set(chosen):
         progress("identifying it with the friction that there is without it")
         found, refused = revision(replace(verdict.settings, friction_among=chosen))
     return found, without, refused
@@ -166,8 +192,8 @@ def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     )
 
 
-def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> str:
-    """Why a revision of the same recordings is refused whose torque error rises at a joint of what is added; empty where it does not.
+def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> Refused:
+    """Why a revision of the same recordings is refused whose torque error rises at a joint of what is added, and for which law.
 
     Of friction that does not warm up: what else there is is not all in that error.  What judges an effect leaves the laws in question that
     identification chose itself; beside these it may explain nothing more, or take the place of one that explains more.  One of those laws
@@ -176,13 +202,13 @@ def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> str:
     chosen = tuple(model.provenance.get("chosen", ()))
     names = [x.name for x in judged if not x.why and x.name not in chosen and levelled(x.name, model.robot)]
     if not names or dict(model.provenance.get("data", {})) != dict(revised.provenance.get("data", {})):
-        return ""
+        return Refused()
     before, after = (dict(zip(m.joints, m.provenance.get("left_of_own_Nm") or (), strict=False)) for m in (model, revised))
     for name, j in ((x, j) for x in names for j in parse_effect(x, model.robot)[1]):
         a, b = before.get(j), after.get(j)
         if a is not None and b is not None and b > (1.0 + limit.RISES) * a:
-            return worse_words(name, j, (a, b), chosen, "in these recordings")
-    return ""
+            return Refused(name, worse_words(name, j, (a, b), chosen, "in these recordings"))
+    return Refused()
 
 
 def _names(effects: Sequence[str], robot: Robot, settings: Settings) -> tuple[str, ...]:
