@@ -101,7 +101,7 @@ def test_what_the_evidence_chooses_beside_an_effect_and_widens_the_sets_is_left_
     monkeypatch.setattr(revise, "own", lambda model, meta: True)
     verdict: Any = SimpleNamespace(judged=(), settings=Settings(), known=())
     found, _, refused = revise._revision(model, SimpleNamespace(meta=None), verdict, silent, force=False, keep=None)  # type: ignore[arg-type]
-    assert not refused and found.model.provenance["chosen"] == ["load_coulomb:a"]
+    assert not refused.why and found.model.provenance["chosen"] == ["load_coulomb:a"]
     assert [s.friction_among for s in asked] == ([None, ("load_coulomb:a",)] if grows else [None])
     # what decided stands in the file, and comes back as it was
     stored: Any = SimpleNamespace(provenance={"settings": json.loads(json.dumps(asdict(asked[-1])))})
