@@ -310,6 +310,12 @@ def test_ends_that_a_filter_bent_are_left_out(tmp_path: Path, motion: Recording)
     for phase, begins in (("closed_loop", True), ("open_loop", False)):
         write_recordings(path, META, [replace(mirrored, phase=phase)])
         assert (read_recordings(path).trials[0].bent[0] > 0.2) == begins
+    # who says no phase says no open loop: a trial that no other one begins like is read as in closed loop
+    for suites, begins in (((0, 1), True), ((0, 0), False)):
+        write_recordings(path, META, [replace(mirrored, suite=s, trial=k, phase="open_loop") for k, s in enumerate(suites)])
+        table = pq.read_table(path)
+        pq.write_table(table.drop_columns(["phase"]), path)
+        assert [r.bent[0] > 0.2 for r in read_recordings(path)] == [begins] * 2
     stopped = replace(bent(whole), phase="stop1")
     write_recordings(path, META, [stopped])
     assert read_recordings(path).trials[0].bent == (0.0, 0.0)
