@@ -20,6 +20,7 @@ from stopset.effects import get
 from stopset.errors import RecordingError, RobotError
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
+from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.campaign.reading_error import reading_residual
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
@@ -76,6 +77,30 @@ def test_eight_cuts_of_a_motion_are_one_motion_and_eight_motions_are_eight(motio
     assert len(set(cut.motion.values())) == 1
     others = [moving(Truth(arm()), k, 4.0, 1.0, seed=7) for k in range(8)]
     assert len(set(survey(lambda: others).motion.values())) == 8
+
+
+def test_inspect_counts_the_motions_that_identify_counts(tmp_path: Path, motion: Recording) -> None:
+    """Of a recording in eight pieces it promised what eight motions would be worth, where identification promises nothing."""
+    path = tmp_path / "rec.parquet"
+    for phase in ("open_loop", "closed_loop"):
+        write_recordings(path, META, [replace(r, phase=phase) for r in pieces(motion, 8)])
+        (i,) = inspect_recordings([path])
+        assert i.offers["phases"][phase]["trials"] == 8 and i.offers["phases"][phase]["motions"] == 1
+        if phase == "open_loop":
+            assert any("1 independent open-loop motion, too few" in n.says for n in i.missing)
+
+
+def test_pieces_that_share_readings_are_one_motion() -> None:
+    """Eight pieces of a real recording, half a second of which two held each, counted as eight motions and vouched for each other."""
+    rng = np.random.default_rng(8)
+    torque = np.cumsum(rng.normal(size=(1600, 3)), axis=0)
+    cut = {(0, "open_loop", k, 0): torque[max(0, 200 * k - 50) : 200 * k + 200] for k in range(8)}
+    assert len(set(independent_motions(dict(reversed(cut.items()))).values())) == 1
+    apart = {k: x[60:] for k, x in cut.items()}
+    assert len(set(independent_motions(apart).values())) == 8
+    # what stands repeats its readings: that says nothing
+    still = {k: np.r_[np.tile(torque[:1], (20, 1)), x] for k, x in apart.items()}
+    assert len(set(independent_motions(still).values())) == 8
 
 
 def test_one_motion_is_held_out_in_time_with_a_guard(motion: Recording) -> None:

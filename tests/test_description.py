@@ -102,7 +102,7 @@ def test_a_part_of_an_arm_by_locked_joints_and_tool_frames_by_name() -> None:
     assert "elbow, finger_1, finger_2 are beside the chain to camera" in " ".join(camera.notes)
     with pytest.raises(RobotError, match=r"no link or joint 'nowhere'; expected .*hand|left|right"):
         robot_from_text(ARM, {"tip": "nowhere"})
-    with pytest.raises(RobotError, match="no joint wrist to lock; expected some of shoulder, .*finger_2"):
+    with pytest.raises(RobotError, match=r"no joint wrist to lock; expected some of shoulder, .*finger_2"):
         robot_from_text(ARM, {"locked": ["wrist"]})
 
 
