@@ -31,7 +31,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.explain.objection import objection
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.offline.inspect import inspect_recordings
-from stopset.offline.inspect.gate import check_files
+from stopset.offline.inspect.gate import check_files, check_trials
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.friction_choice import GAINS, choose
 from stopset.offline.nominal.pair_choice import coupled
@@ -202,6 +202,18 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     ):
         identified(arm(), campaign, Settings())
     assert any("as if about" in text for text in check_files(arm(), campaign.meta, campaign.trials(), mixed=True))
+    # joined in one file they are told by their trials; identified, the sets were absurd and the description was blamed
+    trials = [replace(r, suite=k) for k, path in enumerate(paths) for r in read_recordings(path)]
+    joined = tmp_path / "joined.parquet"
+    for some, expected in ((trials[:2], 0), (trials, 1)):
+        write_recordings(joined, META, some)
+        told = [f.says for f in inspect_recordings([joined], arm())[0].findings if f.kind == "contradiction"]
+        assert len(told) == expected, told
+    assert "open_loop suite 2 trial 0" in told[0] or "closed_loop suite 2 trial 0" in told[0]
+    campaign = campaign_of(arm(), [joined])
+    with pytest.raises(RecordingError, match=r"suite 2 trial 0, .*as if about [\d.]+ kg more .*column condition.*--mixed"):
+        identified(arm(), campaign, Settings())
+    assert any("as if about" in text for text in check_trials(arm(), campaign.meta, campaign.trials(), mixed=True))
 
 
 def test_a_joint_whose_zero_is_elsewhere_is_no_matter_of_masses() -> None:

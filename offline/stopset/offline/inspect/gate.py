@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.effects.selection import of_part, usual_friction
 from stopset.errors import RecordingError
-from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
+from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents, loaded_trials, sums_of
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import clock, held, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, velocity
@@ -153,6 +153,21 @@ def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed:
     return clocks + tuple(
         f"inspect says (warning): {d.joint}: {d.seen(names)}; expected files of one arm in one state" for d in rest
     )
+
+
+def check_trials(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed: bool) -> tuple[str, ...]:
+    """As `check_files`, of trials that one file holds together. Raises `RecordingError` where some carry another load."""
+    if meta.effort == "compensated_torque":
+        return ()
+    sums = {r.label: data for r in islice(trials, LOOKED_AT) if (data := sums_of(robot, r)) is not None}
+    found = loaded_trials(robot, sums)
+    if found and not mixed:
+        label, d = found[0]
+        raise RecordingError(
+            f"{d.joint}: {d.seen(('the rest', label))}; expected trials of one arm in one state, for a model of several holds all their "
+            "differences in its sets: identify them apart, each with what it carries (column condition), or say --mixed to take them as one"
+        )
+    return tuple(f"inspect says (warning): {d.joint}: {d.seen(('the rest', label))}" for label, d in found)
 
 
 def check_one_state(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> None:

@@ -13,7 +13,7 @@ from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
 from stopset.offline.campaign.independence import Ends, independent_motions
 from stopset.offline.inspect import findings_torque
-from stopset.offline.inspect.contradiction import contradictions
+from stopset.offline.inspect.contradiction import MOST_TRIALS, contradictions, of_trials, sums_of
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import clock, held, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, unrepeated, velocity
@@ -87,6 +87,8 @@ class _Campaign:
     sample: UnitSample = field(default_factory=UnitSample)
     seen: dict[bytes, str] = field(default_factory=dict)  # labels of moving trials by fingerprint
     jolts: list[Jolt] = field(default_factory=list)
+    robot: Robot | None = None  # of motor torque, where it is known
+    apart: dict[str, NormalEquations] = field(default_factory=dict)  # what long trials say, each by itself
     heard: list[Recording] = field(default_factory=list)  # the first moving trials, of about a minute together
 
     def add(self, r: Recording) -> None:
@@ -101,6 +103,8 @@ class _Campaign:
             self.momentum.add(r)
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
         self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
+        if self.robot is not None and len(self.apart) < MOST_TRIALS and (data := sums_of(self.robot, r)) is not None:
+            self.apart[r.label] = data
         if r.phase in POWERED and len(r.t) >= 3:
             ends = Ends.of(r)
             self.torques.setdefault(r.suite_key, r.tau)
@@ -168,6 +172,7 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, s
     joints = robot.joints if robot is not None else meta.joints
     compensated = meta.effort == "compensated_torque"
     campaign = _Campaign(SignalSums(len(joints)), Momentum(robot) if robot is not None and compensated else None)
+    campaign.robot = None if compensated else robot
     data: NormalEquations | None = None
     refused = None
     try:
@@ -219,6 +224,8 @@ def _findings(
             out += findings_torque.mounted(hangs.gravity, hangs.angle, robot.chain.gravity)
         else:
             out += _torque(robot, data, (*scales, t.turns), meta, sign, torn=torn)
+        if robot is campaign.robot and not torn and not any(f.severity == "error" for f in out):
+            out += of_trials(robot, campaign.apart)
         if meta.effort != "compensated_torque" and not torn:
             out += findings_torque.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
