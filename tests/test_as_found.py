@@ -34,6 +34,8 @@ from stopset.offline.inspect import inspect_recordings
 from stopset.offline.inspect.gate import check_files, check_trials
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.friction_choice import GAINS, choose
+from stopset.offline.nominal.nominal import solve_nominal
+from stopset.offline.nominal.normal_equations import accumulate
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.residual import residuals
 from stopset.offline.revise.revise import widened
@@ -380,6 +382,15 @@ def test_held_poses_alone_are_told_so(tmp_path: Path, motion: Recording) -> None
     still = replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)), dq=0 * motion.dq)
     with pytest.raises(RecordingError, match="no joint moves"):
         identify_nominal(arm(), [still])
+
+
+def test_no_data_sheet_is_named_where_there_is_none() -> None:
+    """Of a joint that stands its rotor "was kept at the data sheet", where nobody gave one."""
+    for sheet, where in ((True, "the data sheet's"), (False, "zero, as no data sheet")):
+        data = accumulate(arm(sheet=sheet), [moving(Truth(arm()), 0, 24.0, 1.0, seed=7)])
+        data.moving[:, 2], data.rows_moving[:, 2] = 0.0, 0.0
+        (said,) = [n for n in solve_nominal(arm(sheet=sheet), data).undetermined if "no sample in motion" in n]
+        assert f"its rotor inertia at {where}" in said
 
 
 LIMIT = '<limit lower="0" upper="0.1" effort="9" velocity="1"/>'

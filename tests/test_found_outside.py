@@ -10,6 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import found_outside
+import found_pairs
 
 
 @pytest.mark.parametrize(
@@ -38,3 +39,13 @@ def test_a_gas_spring_many_times_its_joints_friction_is_no_cable() -> None:
     """A prior of a share of that friction drew 19 N m towards none, and its levers to an end of their range: a cable was likelier."""
     answer = found_outside.asked(124003, others=True)
     assert answer["named"] == ["counterbalance:cobot_2"], answer
+
+
+@pytest.mark.parametrize("script", [found_outside, found_pairs])
+def test_no_answers_are_no_figure(script: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in (tmp_path, tmp_path / "misspelt"):
+        with pytest.raises(SystemExit) as left:
+            script.main(["rate", "--out", str(folder)])
+        said = capsys.readouterr()
+        assert left.value.code == 2 and not said.out and "holds no answers" in said.err and said.err.count("\n") == 1
+    assert not (tmp_path / "misspelt").exists()
