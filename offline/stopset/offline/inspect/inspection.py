@@ -88,7 +88,7 @@ class _Campaign:
     seen: dict[bytes, str] = field(default_factory=dict)  # labels of moving trials by fingerprint
     jolts: list[Jolt] = field(default_factory=list)
     robot: Robot | None = None  # of motor torque, where it is known
-    apart: dict[str, NormalEquations] = field(default_factory=dict)  # what long trials say, each by itself
+    by_trial: dict[str, NormalEquations] = field(default_factory=dict)  # what long trials say, each by itself
     heard: list[Recording] = field(default_factory=list)  # the first moving trials, of about a minute together
 
     def add(self, r: Recording) -> None:
@@ -103,8 +103,8 @@ class _Campaign:
             self.momentum.add(r)
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
         self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
-        if self.robot is not None and len(self.apart) < MOST_TRIALS and (data := sums_of(self.robot, r)) is not None:
-            self.apart[r.label] = data
+        if self.robot is not None and len(self.by_trial) < MOST_TRIALS and (data := sums_of(self.robot, r)) is not None:
+            self.by_trial[r.label] = data
         if r.phase in POWERED and len(r.t) >= 3:
             ends = Ends.of(r)
             self.torques.setdefault(r.suite_key, r.tau)
@@ -225,7 +225,7 @@ def _findings(
         else:
             out += _torque(robot, data, (*scales, t.turns), meta, sign, torn=torn)
         if robot is campaign.robot and not torn and not any(f.severity == "error" for f in out):
-            out += of_trials(robot, campaign.apart)
+            out += of_trials(robot, campaign.by_trial)
         if meta.effort != "compensated_torque" and not torn:
             out += findings_torque.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
