@@ -148,6 +148,9 @@ def dissents(robot: Robot, sums: Sequence[NormalEquations | None], first: int | 
         least = np.maximum(FAILS * np.maximum(f.own, base.own), NOTABLE * f.torque)
         over = np.where((f.rows > 0) & (base.rows > 0), error / np.maximum(least, 1e-12), 0.0)
         if float(over.max()) > 1.0:
+            # what one motion leaves open another one shows: they contradict each other where no arm moves as both say
+            over *= f.error(solve_nominal(robot, some[first] + some[k]).theta) > least
+        if float(over.max()) > 1.0:
             j = int(over.argmax())
             mass = _load(f, base, j, error)
             out.append(Dissent(k, first, robot.joints[j], float(error[j]), float(f.own[j]), float(least[j]), mass))
