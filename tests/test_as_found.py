@@ -26,7 +26,7 @@ from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import left_over
 from stopset.offline.description import load_robot, robot_from_text
-from stopset.offline.diagnose import diagnose
+from stopset.offline.diagnose import diagnose, diagnose_model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.explain.objection import objection
 from stopset.offline.identify.pipeline import Settings, identified
@@ -38,7 +38,7 @@ from stopset.offline.nominal.nominal import solve_nominal
 from stopset.offline.nominal.normal_equations import accumulate
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.residual import residuals
-from stopset.offline.revise.revise import widened
+from stopset.offline.revise.revise import add, widened
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
 from stopset.robot.rigid import gravity_torques, torques
 
@@ -216,6 +216,13 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     with pytest.raises(RecordingError, match=r"suite 2 trial 0, .*as if about [\d.]+ kg more .*column condition.*--mixed"):
         identified(arm(), campaign, Settings())
     assert any("as if about" in text for text in check_trials(arm(), campaign.meta, campaign.trials(), mixed=True))
+    # `add` said that "the data show no trace of" a load that some of them carry, `diagnose` that what is left is unknown
+    free = identified(arm(), campaign_of(arm(), paths[:1]), Settings(friction="plain")).model
+    for mixed in ([joined], paths[1:]):
+        with pytest.raises(RecordingError, match=r"as if about [\d.]+ kg (more|less)"):
+            add(free, ["payload"], campaign_of(arm(), mixed))
+    with pytest.raises(RecordingError, match=r"nothing is named from .* together: .*as if about [\d.]+ kg more"):
+        diagnose_model(free, read_recordings(joined))
 
 
 def test_a_joint_whose_zero_is_elsewhere_is_no_matter_of_masses() -> None:
