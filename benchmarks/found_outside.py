@@ -203,7 +203,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     kind.add_argument("--others", action="store_true", help="gas springs, cables, offsets, play and what else `SIZES` lacks")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
+    if args.command == "ask":
+        args.out.mkdir(parents=True, exist_ok=True)
     for seed in range(args.seed, args.seed + args.count) if args.command == "ask" else ():
         file = args.out / f"{seed}{'_healthy' * args.healthy}{'_others' * args.others}.json"
         if not file.exists():

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -258,8 +259,11 @@ def one(job: tuple[str, str, int, Path]) -> str:
 
 
 def rate(out: Path) -> None:
-    """Counts over all answers in ``out``, and the wrong ones."""
+    """Counts over all answers in ``out``, and the wrong ones. Exits with 2 and a sentence where there are none: 0 of 0 is no figure."""
     answers = [(f.stem, json.loads(f.read_text())) for f in sorted(out.glob("*.json"))]
+    if not answers:
+        print(f"{out} holds no answers (*.json); expected those that `ask --out {out}` leaves: ask first", file=sys.stderr)
+        raise SystemExit(2)
     for name, a in answers:
         if not a["right"] or a["false"]:
             print(
@@ -286,8 +290,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     args = parser.parse_args(argv)
     if args.weeks and not args.drawn:
         parser.error("--weeks adds to drawn cases; expected --drawn with how many")
-    args.out.mkdir(parents=True, exist_ok=True)
     if args.command == "ask":
+        args.out.mkdir(parents=True, exist_ok=True)
         only = tuple(args.only.split(",")) if args.only else ("",)
         jobs = [
             (arm, case.name, args.seed + 7 * k, args.out)

@@ -20,22 +20,25 @@ from stopset.effects import get
 from stopset.errors import RecordingError, RobotError
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.hold_out import GUARD, hold_out, in_time
+from stopset.offline.campaign.independence import independent_motions
 from stopset.offline.campaign.reading_error import reading_residual
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import left_over
 from stopset.offline.description import load_robot, robot_from_text
-from stopset.offline.diagnose import diagnose
+from stopset.offline.diagnose import diagnose, diagnose_model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.explain.objection import objection
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.offline.inspect import inspect_recordings
-from stopset.offline.inspect.gate import check_files
+from stopset.offline.inspect.gate import check_files, check_trials
 from stopset.offline.nominal import identify_nominal
 from stopset.offline.nominal.friction_choice import GAINS, choose
+from stopset.offline.nominal.nominal import solve_nominal
+from stopset.offline.nominal.normal_equations import accumulate
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.residual import residuals
-from stopset.offline.revise.revise import widened
+from stopset.offline.revise.revise import add, widened
 from stopset.recording import Meta, Recording, read_recordings, write_recordings
 from stopset.robot.rigid import gravity_torques, torques
 
@@ -76,6 +79,30 @@ def test_eight_cuts_of_a_motion_are_one_motion_and_eight_motions_are_eight(motio
     assert len(set(cut.motion.values())) == 1
     others = [moving(Truth(arm()), k, 4.0, 1.0, seed=7) for k in range(8)]
     assert len(set(survey(lambda: others).motion.values())) == 8
+
+
+def test_inspect_counts_the_motions_that_identify_counts(tmp_path: Path, motion: Recording) -> None:
+    """Of a recording in eight pieces it promised what eight motions would be worth, where identification promises nothing."""
+    path = tmp_path / "rec.parquet"
+    for phase in ("open_loop", "closed_loop"):
+        write_recordings(path, META, [replace(r, phase=phase) for r in pieces(motion, 8)])
+        (i,) = inspect_recordings([path])
+        assert i.offers["phases"][phase]["trials"] == 8 and i.offers["phases"][phase]["motions"] == 1
+        if phase == "open_loop":
+            assert any("1 independent open-loop motion, too few" in n.says for n in i.missing)
+
+
+def test_pieces_that_share_readings_are_one_motion() -> None:
+    """Eight pieces of a real recording, half a second of which two held each, counted as eight motions and vouched for each other."""
+    rng = np.random.default_rng(8)
+    torque = np.cumsum(rng.normal(size=(1600, 3)), axis=0)
+    cut = {(0, "open_loop", k, 0): torque[max(0, 200 * k - 50) : 200 * k + 200] for k in range(8)}
+    assert len(set(independent_motions(dict(reversed(cut.items()))).values())) == 1
+    apart = {k: x[60:] for k, x in cut.items()}
+    assert len(set(independent_motions(apart).values())) == 8
+    # what stands repeats its readings: that says nothing
+    still = {k: np.r_[np.tile(torque[:1], (20, 1)), x] for k, x in apart.items()}
+    assert len(set(independent_motions(still).values())) == 8
 
 
 def test_one_motion_is_held_out_in_time_with_a_guard(motion: Recording) -> None:
@@ -177,6 +204,25 @@ def test_files_that_contradict_each_other_are_told_and_with_what_load(tmp_path: 
     ):
         identified(arm(), campaign, Settings())
     assert any("as if about" in text for text in check_files(arm(), campaign.meta, campaign.trials(), mixed=True))
+    # joined in one file they are told by their trials; identified, the sets were absurd and the description was blamed
+    trials = [replace(r, suite=k) for k, path in enumerate(paths) for r in read_recordings(path)]
+    joined = tmp_path / "joined.parquet"
+    for some, expected in ((trials[:2], 0), (trials, 1)):
+        write_recordings(joined, META, some)
+        told = [f.says for f in inspect_recordings([joined], arm())[0].findings if f.kind == "contradiction"]
+        assert len(told) == expected, told
+    assert "open_loop suite 2 trial 0" in told[0] or "closed_loop suite 2 trial 0" in told[0]
+    campaign = campaign_of(arm(), [joined])
+    with pytest.raises(RecordingError, match=r"suite 2 trial 0, .*as if about [\d.]+ kg more .*column condition.*--mixed"):
+        identified(arm(), campaign, Settings())
+    assert any("as if about" in text for text in check_trials(arm(), campaign.meta, campaign.trials(), mixed=True))
+    # `add` said that "the data show no trace of" a load that some of them carry, `diagnose` that what is left is unknown
+    free = identified(arm(), campaign_of(arm(), paths[:1]), Settings(friction="plain")).model
+    for mixed in ([joined], paths[1:]):
+        with pytest.raises(RecordingError, match=r"as if about [\d.]+ kg (more|less)"):
+            add(free, ["payload"], campaign_of(arm(), mixed))
+    with pytest.raises(RecordingError, match=r"nothing is named from .* together: .*as if about [\d.]+ kg more"):
+        diagnose_model(free, read_recordings(joined))
 
 
 def test_a_joint_whose_zero_is_elsewhere_is_no_matter_of_masses() -> None:
@@ -310,6 +356,12 @@ def test_ends_that_a_filter_bent_are_left_out(tmp_path: Path, motion: Recording)
     for phase, begins in (("closed_loop", True), ("open_loop", False)):
         write_recordings(path, META, [replace(mirrored, phase=phase)])
         assert (read_recordings(path).trials[0].bent[0] > 0.2) == begins
+    # who says no phase says no open loop: a trial that no other one begins like is read as in closed loop
+    for suites, begins in (((0, 1), True), ((0, 0), False)):
+        write_recordings(path, META, [replace(mirrored, suite=s, trial=k, phase="open_loop") for k, s in enumerate(suites)])
+        table = pq.read_table(path)
+        pq.write_table(table.drop_columns(["phase"]), path)
+        assert [r.bent[0] > 0.2 for r in read_recordings(path)] == [begins] * 2
     stopped = replace(bent(whole), phase="stop1")
     write_recordings(path, META, [stopped])
     assert read_recordings(path).trials[0].bent == (0.0, 0.0)
@@ -337,6 +389,15 @@ def test_held_poses_alone_are_told_so(tmp_path: Path, motion: Recording) -> None
     still = replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)), dq=0 * motion.dq)
     with pytest.raises(RecordingError, match="no joint moves"):
         identify_nominal(arm(), [still])
+
+
+def test_no_data_sheet_is_named_where_there_is_none() -> None:
+    """Of a joint that stands its rotor "was kept at the data sheet", where nobody gave one."""
+    for sheet, where in ((True, "the data sheet's"), (False, "zero, as no data sheet")):
+        data = accumulate(arm(sheet=sheet), [moving(Truth(arm()), 0, 24.0, 1.0, seed=7)])
+        data.moving[:, 2], data.rows_moving[:, 2] = 0.0, 0.0
+        (said,) = [n for n in solve_nominal(arm(sheet=sheet), data).undetermined if "no sample in motion" in n]
+        assert f"its rotor inertia at {where}" in said
 
 
 LIMIT = '<limit lower="0" upper="0.1" effort="9" velocity="1"/>'

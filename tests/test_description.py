@@ -102,8 +102,19 @@ def test_a_part_of_an_arm_by_locked_joints_and_tool_frames_by_name() -> None:
     assert "elbow, finger_1, finger_2 are beside the chain to camera" in " ".join(camera.notes)
     with pytest.raises(RobotError, match=r"no link or joint 'nowhere'; expected .*hand|left|right"):
         robot_from_text(ARM, {"tip": "nowhere"})
-    with pytest.raises(RobotError, match="no joint wrist to lock"):
+    with pytest.raises(RobotError, match=r"no joint wrist to lock; expected some of shoulder, .*finger_2"):
         robot_from_text(ARM, {"locked": ["wrist"]})
+
+
+def test_frames_that_no_joint_turns_are_no_arms_to_name() -> None:
+    """Two arms on one base, each with a frame at its foot, as drivers of industrial arms have them."""
+    foot = '<link name="foot"/>' + joint("foot", "fixed", "base", "foot", "")
+    arm = serial("revolute", "revolute").replace("</robot>", foot + "</robot>")
+    two = arm.replace("</robot>", link("r1", 1.0) + joint("right", "revolute", "base", "r1", LIMIT) + "</robot>")
+    with pytest.raises(RobotError, match=r"branches at base .*one of l2 \(2 joints\), r1 \(1 joints\), or lock"):
+        robot_from_text(two)
+    with pytest.raises(RobotError, match=r"no joint that turns between its base and .* --tip, e.g. l2 \(2 joints\), r1"):
+        robot_from_text(two, {"tip": "foot"})
 
 
 def test_limits_and_products_of_inertia_that_are_missing() -> None:

@@ -22,15 +22,16 @@ FADES = 0.2  # of that difference, from which on inwards the part still counts
 MOSTLY = 0.5  # share of the part in which they differ
 
 
-def sound_part(r: Recording) -> Recording:
+def sound_part(r: Recording, *, alone: bool = False) -> Recording:
     """A powered trial without the ends at which its speeds contradict its positions; ``bent`` [s]: what was left out.
 
-    In open loop, for which a file without phases is taken, the beginning stays: trials of one suite are those that begin alike.
+    In open loop the beginning stays: trials of one suite are those that begin alike.  ``alone``: nobody said that it is open loop, for which
+    a file without phases is taken, and there is no other trial that it could begin like.
     """
     if r.phase not in ("closed_loop", "open_loop") or r.t[-1] - r.t[0] < FEWEST * EDGE:
         return r
     by = _contradiction(r)
-    begin = _reach(by, r.t - r.t[0]) if r.phase == "closed_loop" else 0
+    begin = _reach(by, r.t - r.t[0]) if alone or r.phase == "closed_loop" else 0
     end = _reach(by[::-1], r.t[-1] - r.t[::-1])
     if begin == end == 0:
         return r

@@ -119,7 +119,7 @@ def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None, *, ga
             _check_robot(path, meta, robot)
         joints = robot.joints if robot is not None else meta.joints
         seen: set[tuple[str, int, int]] = set()
-        for phase, suite, trial, columns in _runs(path, batches):
+        for phase, suite, trial, alone, columns in _runs(path, batches):
             key = (phase, suite, trial)
             if key in seen:
                 raise RecordingError(
@@ -132,15 +132,21 @@ def _stream(paths: str | Path | Sequence[str | Path], robot: Robot | None, *, ga
             # of readings that were written many times one each: what bends at the ends is looked for in these
             if not garbled:
                 r = each_once(r, derived=derived)
-            yield sound_part(r) if garbled else without_spikes(on_its_clock(sound_part(r), derived=derived))
+            r = sound_part(r, alone=alone)
+            yield r if garbled else without_spikes(on_its_clock(r, derived=derived))
             place += 1
         if not seen:
             raise RecordingError(f"{path} has no rows; expected at least one trial: record it again")
 
 
-def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
-    """Consecutive rows with the same (phase, suite, trial), across batches."""
+def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, int, int, bool, dict[str, Any]]]:
+    """Consecutive rows with the same (phase, suite, trial), across batches.
+
+    Of each also whether no column says its phase and the trials before and after it are of other suites.
+    """
     key: tuple[str, int, int] | None = None
+    before: int | None = None  # the suite of the trial before
+    assumed = False
     parts: list[dict[str, Any]] = []
     begun, last = 0, float("nan")  # where no column says which trial a row is of: trials before it, its stamp
     try:
@@ -152,6 +158,7 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
             phase = columns.get("phase")
             usual = "open_loop" if {"suite", "trial"} <= columns.keys() else "closed_loop"
             names = np.full(rows, usual, object) if phase is None else phase
+            assumed = phase is None
             columns.setdefault("suite", np.zeros(rows, np.int64))
             if "trial" not in columns:
                 columns["trial"] = begun + np.cumsum(anew(columns["t"], last))
@@ -163,8 +170,8 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
                 if here[0] not in PHASES:
                     raise RecordingError(f"{path}: phase {here[0]!r}; expected one of {', '.join(PHASES)}")
                 if key is not None and here != key:
-                    yield (*key, _joined(parts))
-                    parts = []
+                    yield (*key, assumed and key[1] not in (before, here[1]), _joined(parts))
+                    parts, before = [], key[1]
                 key = here
                 parts.append({c: v[lo:hi] for c, v in columns.items()})
     except (pa.ArrowInvalid, OSError) as e:
@@ -172,7 +179,7 @@ def _runs(path: Path, batches: Iterable[pa.RecordBatch]) -> Iterator[tuple[str, 
     except (ValueError, TypeError) as e:
         raise RecordingError(f"{path}: suite or trial is not a whole number ({e}); expected integers") from e
     if key is not None:
-        yield (*key, _joined(parts))
+        yield (*key, assumed and key[1] != before, _joined(parts))
 
 
 def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:

@@ -26,6 +26,7 @@ SEAM = 0.25  # [s] that may be lost, or recorded twice, between pieces
 FEWEST_JOINTS = 3  # of an arm whose state tells where in its motion it is
 SEAM_ANGLE, SEAM_SPEED = 2e-3, 0.05  # [rad], [rad/s] besides a tenth of what the arm moved and a usual acceleration
 SEAM_ACCELERATION = 10.0  # [rad/s^2]
+READINGS = 5  # in a row that are the same to the last bit, each other than the one before: no arm repeats itself so
 MOVING = 0.05  # [rad/s] slower, every trial that starts where the last one rested would be a piece
 
 
@@ -55,7 +56,7 @@ def independent_motions(
     Two suites are starts of one motion where the torques of one, from some sample on, are those of the other: so test suites
     are cut from a recorded motion (Liu & Althoff 2018, sec. V-B).  Every shift is tried; what cannot be told apart counts as
     one motion, which can only weaken what is promised.  Two suites are also one motion where one goes on where the other
-    ended (``ends``): into how many pieces or files a recording was cut says nothing.
+    ended (``ends``), or begins with readings that the other holds: into how many pieces or files a recording was cut says nothing.
     """
     suites = list(torques)
     found = {s: s for s in suites}
@@ -69,11 +70,32 @@ def independent_motions(
     for i, a in enumerate(suites):
         for k in signals.alike(i):
             found[head(suites[k])] = head(a)
-    for a, b in _pieces(ends):
+    pairs = [(suites[i], suites[k]) for i, k in _overlapping(list(torques.values()))] + _pieces(ends)
+    for a, b in pairs:
         if a in found and b in found:
             found[head(b)] = head(a)
     numbers = {h: k for k, h in enumerate(dict.fromkeys(head(s) for s in suites))}
     return {s: numbers[head(s)] for s in suites}
+
+
+def _overlapping(torques: Sequence[Array]) -> list[tuple[int, int]]:
+    """Pairs of which the first holds the `READINGS` that the second begins with: pieces that were cut with an overlap."""
+    heads = {k: x[:READINGS] for k, x in enumerate(torques) if len(x) >= READINGS}
+    heads = {k: x for k, x in heads.items() if (np.diff(x, axis=0) != 0).any(axis=1).all()}
+    if len(torques) < 2 or not heads:
+        return []
+    firsts: dict[bytes, list[int]] = {}
+    for k, x in heads.items():
+        firsts.setdefault(x[0].tobytes(), []).append(k)
+    # a joint alone tells most samples apart
+    joint = np.array([x[0, 0] for x in heads.values()])
+    out = []
+    for i, x in enumerate(torques):
+        for at in np.flatnonzero(np.isin(x[:, 0], joint)):
+            for k in firsts.get(x[at].tobytes(), ()):
+                if k != i and np.array_equal(x[at : at + READINGS], heads[k]):
+                    out.append((i, k))
+    return out
 
 
 def _pieces(ends: Mapping[SuiteKey, Ends]) -> list[tuple[SuiteKey, SuiteKey]]:

@@ -64,6 +64,7 @@ class Outline:
             for link in self.links
             if not self.below(link)
         ]
+        found = [x for x in found if x[0]] or found  # to frames of the base no chain leads
         return ", ".join(f"{link} ({count} joints)" for count, link in sorted(found, key=lambda x: -x[0])[:6])
 
 
@@ -126,7 +127,8 @@ def check_joints(tree: Outline, locked: Collection[str], tip: str | None) -> lis
     names = {j.name for j in tree.joints}
     if not set(locked) <= names:
         strange = ", ".join(sorted(set(locked) - names))
-        raise RobotError(f"{tree.source} has no joint {strange} to lock; expected of its joints: mend --lock")
+        moves = ", ".join(j.name for j in tree.joints if j.kind != "fixed")
+        raise RobotError(f"{tree.source} has no joint {strange} to lock; expected some of {moves}: mend --lock")
     chain = tree.joints if tip is None else tree.to(tip)
     for j in chain:
         if j.kind == "fixed" or j.name in locked:

@@ -95,7 +95,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     (
         "independence",
         independence,
-        "OVERLAP FEWEST NOISES ALIKE VARIES SEAM FEWEST_JOINTS SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION MOVING",
+        "OVERLAP FEWEST NOISES ALIKE VARIES SEAM FEWEST_JOINTS SEAM_ANGLE SEAM_SPEED SEAM_ACCELERATION MOVING READINGS",
     ),
     ("hold-out", hold_out, "FOLDS FEWEST_MOTIONS BLOCK GUARD SHORTEST"),
     ("preprocessing", filters, "ORDER"),

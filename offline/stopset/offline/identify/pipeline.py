@@ -40,7 +40,7 @@ from stopset.offline.identify.ladder import Abstracted, WithSets, climbed
 from stopset.offline.identify.model_file import Identification, concluded, packed, stopped
 from stopset.offline.identify.signals_file import RetainedSignals
 from stopset.offline.identify.unseen import unseen
-from stopset.offline.inspect.gate import check_files, check_signals, left_out
+from stopset.offline.inspect.gate import check_files, check_signals, check_trials, left_out
 from stopset.offline.nominal.friction_choice import Gain
 from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
 from stopset.offline.nominal.pair_choice import coupled
@@ -87,6 +87,7 @@ def identified(
         *check_signals(robot, meta, found.sample),
         *left_out(robot, found.spikes, found.polled, found.held),
         *check_files(robot, meta, source(), mixed=chosen.mixed),
+        *check_trials(robot, meta, found.sample, mixed=chosen.mixed),
     )
     for text in warnings:
         progress(text)

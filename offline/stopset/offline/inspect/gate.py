@@ -12,7 +12,7 @@ import numpy as np
 
 from stopset.effects.selection import of_part, usual_friction
 from stopset.errors import RecordingError
-from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents
+from stopset.offline.inspect.contradiction import ALIGN, Dissent, OwnClock, dissents, loaded_trials, sums_of
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import clock, held, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, velocity
@@ -36,7 +36,7 @@ from stopset.offline.inspect.tally import SignalSums
 from stopset.offline.nominal.delay import Delay
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.scale import rubbing, torque_scales
-from stopset.recording import Meta, Recording
+from stopset.recording import Meta, Recording, Recordings
 from stopset.recording.types import Spike
 from stopset.robot import Robot
 
@@ -155,8 +155,21 @@ def check_files(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed:
     )
 
 
-def check_one_state(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> None:
-    """As `check_files`, before effects are named: what only some of the files have, a load or a lag, would be found by half.
+def check_trials(robot: Robot, meta: Meta, trials: Iterable[Recording], *, mixed: bool) -> tuple[str, ...]:
+    """As `check_files`, of trials that one file holds together. Raises `RecordingError` where some carry another load."""
+    found = _loaded(robot, meta, trials)
+    if found and not mixed:
+        label, d = found[0]
+        raise RecordingError(
+            f"{d.joint}: {d.seen(('the rest', label))}; expected trials of one arm in one state, for a model of several holds all their "
+            "differences in its sets: identify them apart, each with what it carries (column condition), or say --mixed to take them as one"
+        )
+    return tuple(f"inspect says (warning): {d.joint}: {d.seen(('the rest', label))}" for label, d in found)
+
+
+def check_one_state(robot: Robot, meta: Meta, trials: Recordings) -> None:
+    """As `check_files` and `check_trials`, before effects are named or added: what only some of the recordings have, a load or a lag, would
+    be found by half.
 
     Raises `RecordingError`.
     """
@@ -167,6 +180,18 @@ def check_one_state(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> No
                 f"nothing is named from these recordings together: {d.seen(names)}; expected files of one arm in one state and on one "
                 "clock: ask of each apart"
             )
+    for label, loaded in _loaded(robot, meta, trials):
+        raise RecordingError(
+            f"nothing is named from these recordings together: {loaded.seen(('the rest', label))}; expected trials of one arm in one state: "
+            "ask of each apart"
+        )
+
+
+def _loaded(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[tuple[str, Dissent]]:
+    """Long trials that carry another load than the rest; of compensated torque nothing."""
+    if meta.effort == "compensated_torque":
+        return []
+    return loaded_trials(robot, {r.label: data for r in islice(trials, LOOKED_AT) if (data := sums_of(robot, r)) is not None})
 
 
 def _dissents(robot: Robot, meta: Meta, trials: Iterable[Recording]) -> list[Dissent | OwnClock]:

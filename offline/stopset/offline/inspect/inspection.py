@@ -11,9 +11,9 @@ import numpy as np
 
 from stopset.effects.selection import usual_friction
 from stopset.errors import RecordingError
-from stopset.offline.campaign.independence import independent_motions
+from stopset.offline.campaign.independence import Ends, independent_motions
 from stopset.offline.inspect import findings_torque
-from stopset.offline.inspect.contradiction import contradictions
+from stopset.offline.inspect.contradiction import MOST_TRIALS, contradictions, of_trials, sums_of
 from stopset.offline.inspect.finding import Finding
 from stopset.offline.inspect.findings_clock import clock, held, polled
 from stopset.offline.inspect.findings_signals import readings, saturation, unrepeated, velocity
@@ -31,6 +31,7 @@ from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.offline.nominal.scale import rubbing, torque_scales
 from stopset.recording import Recording, SuiteKey, read_meta, stream_recordings
+from stopset.recording.repetition import POWERED
 from stopset.recording.types import Meta
 from stopset.robot import Robot
 from stopset.types import Array
@@ -78,13 +79,16 @@ class _Campaign:
     momentum: Momentum | None = None  # of compensated torque, where the robot is known
     trials: dict[str, int] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
-    suites: dict[SuiteKey, int] = field(default_factory=dict)  # trials of each motion
-    torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each open-loop motion
+    suites: dict[SuiteKey, int] = field(default_factory=dict)  # trials of each
+    torques: dict[SuiteKey, Array] = field(default_factory=dict)  # of one trial of each suite under power
+    ends: dict[SuiteKey, Ends] = field(default_factory=dict)  # of these suites
     slowest: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,) lowest speed in motion that lasted
     channels: set[str] = field(default_factory=set)
     sample: UnitSample = field(default_factory=UnitSample)
     seen: dict[bytes, str] = field(default_factory=dict)  # labels of moving trials by fingerprint
     jolts: list[Jolt] = field(default_factory=list)
+    robot: Robot | None = None  # of motor torque, where it is known
+    by_trial: dict[str, NormalEquations] = field(default_factory=dict)  # what long trials say, each by itself
     heard: list[Recording] = field(default_factory=list)  # the first moving trials, of about a minute together
 
     def add(self, r: Recording) -> None:
@@ -99,8 +103,12 @@ class _Campaign:
             self.momentum.add(r)
         self.trials[r.phase] = self.trials.get(r.phase, 0) + 1
         self.seconds[r.phase] = self.seconds.get(r.phase, 0.0) + float(r.t[-1] - r.t[0])
-        if r.phase == "open_loop":
+        if self.robot is not None and len(self.by_trial) < MOST_TRIALS and (data := sums_of(self.robot, r)) is not None:
+            self.by_trial[r.label] = data
+        if r.phase in POWERED and len(r.t) >= 3:
+            ends = Ends.of(r)
             self.torques.setdefault(r.suite_key, r.tau)
+            self.ends[r.suite_key] = self.ends[r.suite_key].until(ends) if r.suite_key in self.ends else ends
         self.suites[r.suite_key] = self.suites.get(r.suite_key, 0) + 1
         for name in ("temp", "current", "q_link", "stop_trigger"):
             if getattr(r, name) is not None:
@@ -117,11 +125,14 @@ class _Campaign:
             yield r
 
     def phases(self) -> dict[str, dict[str, Any]]:
+        """By phase; what moves under power in motions that are independent, as `identify` counts them, whatever their suites are."""
         out: dict[str, dict[str, Any]] = {}
         for phase, trials in self.trials.items():
             mine = [count for (_, p, *_), count in self.suites.items() if p == phase]
+            torques = {s: x for s, x in self.torques.items() if s[1] == phase}
+            motions = len(set(independent_motions(torques, self.ends).values())) if torques else len(mine)
             out[phase] = {
-                "trials": trials, "motions": len(mine), "most_trials_per_motion": max(mine),
+                "trials": trials, "motions": motions, "most_trials_per_motion": max(mine),
                 "seconds": round(self.seconds[phase], 3),
             }  # fmt: skip
         return out
@@ -161,6 +172,7 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, s
     joints = robot.joints if robot is not None else meta.joints
     compensated = meta.effort == "compensated_torque"
     campaign = _Campaign(SignalSums(len(joints)), Momentum(robot) if robot is not None and compensated else None)
+    campaign.robot = None if compensated else robot
     data: NormalEquations | None = None
     refused = None
     try:
@@ -174,8 +186,9 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, s
         refused = " ".join(str(e).split())
     found = _findings(campaign, joints, meta, robot, data)
     # of a file that breaks off before its first trial nothing is known, what it lacks neither
-    missing = () if refused and not campaign.trials else tuple(_missing(campaign, meta, robot))
-    return Inspection(str(path), _offers(campaign, meta, joints), missing, tuple(found), refused), campaign.seen, data
+    phases = campaign.phases()
+    missing = () if refused and not campaign.trials else tuple(_missing(campaign, phases, meta, robot))
+    return Inspection(str(path), _offers(campaign, phases, meta, joints), missing, tuple(found), refused), campaign.seen, data
 
 
 def _findings(
@@ -211,6 +224,8 @@ def _findings(
             out += findings_torque.mounted(hangs.gravity, hangs.angle, robot.chain.gravity)
         else:
             out += _torque(robot, data, (*scales, t.turns), meta, sign, torn=torn)
+        if robot is campaign.robot and not torn and not any(f.severity == "error" for f in out):
+            out += of_trials(robot, campaign.by_trial)
         if meta.effort != "compensated_torque" and not torn:
             out += findings_torque.torque_smoothed(low_pass.recorded_low_pass(robot, campaign.heard))
     return out + [Finding("metadata", "note", None, w, "metadata in the file", "add them") for w in meta.warnings]
@@ -262,21 +277,21 @@ def against_model(
     return [findings_torque.balanced(f) if f.kind == "wrong_sign" and f.joint in rises else f for f in found]
 
 
-def _missing(campaign: _Campaign, meta: Meta, robot: Robot | None) -> list[Need]:
+def _missing(campaign: _Campaign, phases: dict[str, dict[str, Any]], meta: Meta, robot: Robot | None) -> list[Need]:
     paired = sum(1 for (_, phase, *_), count in campaign.suites.items() if phase == "static" and count >= 2)
     top = np.abs(campaign.tally.range_dq).max(axis=1)
     n = campaign.tally.n
     low = campaign.slowest if len(campaign.slowest) == n else np.full(n, np.inf)
     repeats = max((c for (_, p, *_), c in campaign.suites.items() if p == "open_loop"), default=0)
-    motions = len(set(independent_motions(campaign.torques).values())) if campaign.torques else 0
+    motions = phases["open_loop"]["motions"] if "open_loop" in phases else 0
     limit = robot.dq_limit if robot is not None and np.isfinite(robot.dq_limit).all() else None
     return needs(Inventory(
-        phases=campaign.phases(), paired_poses=paired, speed=np.column_stack([low, top]), limit=limit,
+        phases=phases, paired_poses=paired, speed=np.column_stack([low, top]), limit=limit,
         temperature="temp" in campaign.channels, effort=meta.effort, repeats=repeats, motions=motions,
     ))  # fmt: skip
 
 
-def _offers(campaign: _Campaign, meta: Meta, joints: Sequence[str]) -> dict[str, Any]:
+def _offers(campaign: _Campaign, phases: dict[str, dict[str, Any]], meta: Meta, joints: Sequence[str]) -> dict[str, Any]:
     t = campaign.tally
 
     def pair(x: np.ndarray) -> list[float] | None:
@@ -296,6 +311,6 @@ def _offers(campaign: _Campaign, meta: Meta, joints: Sequence[str]) -> dict[str,
     return {
         "robot": meta.robot, "effort": meta.effort, "velocity": meta.velocity, "clock": meta.clock,
         "rate_hz": number(1 / period) if period > 0 else None, "jitter": number(max(t.jitter, default=float("nan"))),
-        "trials": t.trials, "samples": t.samples, "seconds": round(t.seconds, 3), "phases": campaign.phases(),
+        "trials": t.trials, "samples": t.samples, "seconds": round(t.seconds, 3), "phases": phases,
         "channels": ["q", "dq", "tau", *sorted(campaign.channels)], "joints": ranges, "said": list(meta.said),
     }  # fmt: skip

@@ -139,7 +139,8 @@ class SignalSums:
         self.pauses += dt[paused].tolist()
         self.period.append(h)
         if len(r.t) >= LONG:
-            self.mean_period.append(float(np.mean(dt[~gap])))
+            # of stamps as the logger made them: on the robot's clock there are none of what it wrote again
+            self.mean_period.append(float(np.mean(dt[~gap])) * (len(r.t) - 1) / (len(r.t) - 1 + r.again))
         self.jitter.append(float(np.std(dt[~gap]) / h) if (~gap).any() else 0.0)
         even = self.jitter[-1] <= EVEN
         missing = int(np.round(dt[lost] / h - 1).sum())

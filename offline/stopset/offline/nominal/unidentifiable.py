@@ -76,9 +76,10 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
     """Sentences on what stayed open and where it was kept."""
     out: list[str] = []
     n = robot.n
+    stays = ["the data sheet's" if known else "zero, as no data sheet (robot.json) states one" for known in prior.rotor_known]
     for j, joint in enumerate(robot.joints):
         if data.rows_moving[:, j].sum() == 0:
-            out.append(f"{joint}: no sample in motion; friction and rotor unknown, kept at the data sheet (friction 0)")
+            out.append(f"{joint}: no sample in motion; friction kept at zero, its rotor inertia at {stays[j]}")
     known, count = determined(robot, result.precision, result.covariance)
     if known < count:
         left = left_at_prior(robot, result.precision, result.covariance)
@@ -92,8 +93,7 @@ def undetermined(robot: Robot, data: NormalEquations, prior: Prior, result: Fit)
         if data.rows_moving[:, j].sum() == 0:
             continue
         if std[10 * n + j] ** 2 * result.precision[10 * n + j, 10 * n + j] > OPEN:
-            source = "data sheet" if prior.rotor_known[j] else "zero, no data sheet"
-            out.append(f"{robot.joints[j]}: rotor inertia kept at the {source}: too little acceleration")
+            out.append(f"{robot.joints[j]}: rotor inertia kept at {stays[j]}: too little acceleration")
     return (*out, *_friction(data, result, std))
 
 

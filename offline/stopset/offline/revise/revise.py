@@ -23,6 +23,7 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.identify.pipeline import Identification, Keep, identified
+from stopset.offline.inspect.gate import check_files, check_trials
 from stopset.offline.revise.held_out import halves
 from stopset.offline.revise.judge import (
     HELD_OUT,
@@ -92,6 +93,8 @@ def add(
     names = _names(effects, robot, settings)
     if not settings.mixed:
         one_condition(campaign.seen.tally.conditions)
+        check_files(robot, campaign.meta, campaign.trials(), mixed=False)
+        check_trials(robot, campaign.meta, campaign.seen.survey.sample, mixed=False)
     judge = Judge(model, robot, campaign, halves(campaign), progress)
     first = _judged_before(model, campaign)
     verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force=force)
