@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stopset.artifact import Model, Revision
-from stopset.effects.selection import matches, parse_effect
+from stopset.effects.selection import parse_effect
 from stopset.errors import EffectError, NotConformant, NotCovered
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.settings import Settings, settings_of
@@ -34,7 +34,6 @@ from stopset.offline.revise.judge import (
     by_simulation,
     levelled,
     retained_effects,
-    retained_elsewhere,
     worse_words,
 )  # fmt: skip
 from stopset.progress import Progress, silent
@@ -97,14 +96,21 @@ def add(
         check_trials(robot, campaign.meta, campaign.seen.survey.sample, mixed=False)
     judge = Judge(model, robot, campaign, halves(campaign), progress)
     first = _judged_before(model, campaign)
-    verdict = (by_simulation if model.effort == "compensated_torque" else by_evidence)(judge, settings, names, first, force=force)
+    ask = by_simulation if model.effort == "compensated_torque" else by_evidence
+    verdict = ask(judge, settings, names, first, force=force)
     taken = [j for j in verdict.judged if not j.why]
     if not taken:
         return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
     found, without, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
     while refused.name and len(taken) > 1:  # one law speaks against itself, not against what it was named with
-        verdict = _less(model, campaign, verdict, refused)
+        remaining = [j.name for j in taken if j.name != refused.name]
+        judgement = ask(judge, settings, remaining, first, force=force)  # the others' errors are not those beside it
+        every = {j.name: replace(j, helps=False, why=j.why or refused.why) for j in verdict.judged if j.name not in remaining}
+        every |= {j.name: j for j in judgement.judged}
+        verdict = replace(judgement, judged=tuple(every[name] for name in names))
         taken = [j for j in verdict.judged if not j.why]
+        if not taken:
+            return Revised(None, verdict.first, verdict.judged[-1].after, verdict.judged, verdict.words)
         found, without, refused = _revision(model, campaign, verdict, progress, force=force, keep=keep)
     fresh = found.model
     progress("bounding stops before and after")
@@ -118,18 +124,6 @@ def add(
     revision = Revision(number, ", ".join(j.name for j in taken), before, after, _note(taken, verdict.words))
     revised = replace(fresh, revisions=(*model.revisions, revision))
     return Revised(revised, before, after, verdict.judged, verdict.words, without, found.retained)
-
-
-def _less(model: Model, campaign: Campaign, verdict: Judgement, refused: Refused) -> Judgement:
-    """The judgement without the one effect that is refused, for its own reason; the others keep their numbers and their laws beside them."""
-    judged = tuple(replace(j, helps=False, why=refused.why) if j.name == refused.name else j for j in verdict.judged)
-    retained = retained_effects(model)
-    added = [f for f in verdict.known if f not in retained and not matches(f, refused.name)]
-    settings = settings_of(model)
-    if own(model, campaign.meta):
-        settings = retained_elsewhere(settings, tuple(model.provenance.get("chosen", ())), added, model.robot.as_described)
-    names = tuple(x for x in verdict.settings.effects if x != refused.name)
-    return replace(verdict, judged=judged, settings=replace(settings, effects=names), known=(*retained, *added))
 
 
 def _revision(
