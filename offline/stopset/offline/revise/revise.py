@@ -115,8 +115,7 @@ def add(
     fresh = found.model
     progress("bounding stops before and after")
     before = _figures(model, without) | verdict.first | stop_figures(model, fresh)
-    after = verdict.judged[-1].after if verdict.judged[-1] is taken[-1] else taken[-1].after
-    after = after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
+    after = taken[-1].after | dict(fresh.revisions[-1].after) | stop_figures(fresh, model)
     if refused.why:
         judged = tuple(replace(j, helps=False, why=j.why or refused.why) for j in verdict.judged)
         return Revised(None, before, after, judged, verdict.words)
