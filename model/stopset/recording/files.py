@@ -15,12 +15,11 @@ from stopset.errors import RecordingError
 from stopset.recording.csv_table import open_csv
 from stopset.recording.meta import is_signal
 from stopset.recording.seen import open_seen
-from stopset.recording.tabular import SUFFIXES
 from stopset.unpacked import Allowance, TooLargeError
 
 BATCH_ROWS = 65_536
 # what `stopset import` makes recordings of
-LOGS = frozenset({".bag", ".db3", ".zstd", ".log", ".asc", ".blf", ".trc", ".gz"}) | (SUFFIXES - {".csv", ".parquet"})
+LOGS = frozenset({".bag", ".db3", ".zstd", ".log", ".asc", ".blf", ".trc", ".gz", ".txt", ".tsv", ".dat", ".npz", ".mat"})
 TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s] of a time of day
 
 
