@@ -35,14 +35,14 @@ def engine() -> Engine:
 
 def test_a_structure_about_a_joint_s_own_axis_is_that_joint_s_gear(engine: Engine) -> None:
     """One chain with a joint more against the gear's own columns: the same swing, the same torques, but for what is not linear in it."""
-    rate, damping = 45.0, 0.1
-    for j, own in enumerate(gears(ROBOT)):
+    rate, damping = 80.0, 0.1
+    for j, own in list(enumerate(gears(ROBOT)))[1:]:
         giving = Giving.of(engine.source, own)
         got = giving.columns(Spring(rate, damping))
         K, D = rate**2 * giving.inertia, damping * rate * giving.inertia
         want = swing(engine.source, j, {"K": K, "D": D, "exact": 1.0})
         moving = np.concatenate([want[i][0] for i in range(ROBOT.n)], axis=1)
-        assert np.linalg.norm(got - moving) < 0.05 * np.linalg.norm(moving)
+        assert np.linalg.norm(got - moving) < 0.03 * np.linalg.norm(moving)
 
 
 def test_it_may_sit_under_the_base_and_at_every_link_across_it() -> None:
