@@ -54,7 +54,7 @@ LEFT_OUT = (
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
     ("stopset.offline.campaign.trials", "MOST", BUDGET),
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
-    ("stopset.offline.diagnose.search.structures", "TODO", WORDS),
+    ("stopset.offline.diagnose.search.structures", "ADVICE", WORDS),
     ("stopset.offline.diagnose.search.structures", "BATCH", BUDGET),
     ("stopset.offline.diagnose.search.structures", "LOGARITHMIC", CODES),
     ("stopset.offline.abstraction.metrics", "TOGETHER", BUDGET),

@@ -36,7 +36,7 @@ STEPS = {
     "own": 0.3,
 }  # of the search, first ones in the logarithm
 LOGARITHMIC = ("rate", "across", "damping")
-TODO = (
+ADVICE = (
     "No model takes it (`add` cannot, and no stop bound holds on an arm that swings so): stiffen it, or measure it by an acceleration sensor there "
     "or by encoders behind the gears"
 )
@@ -74,7 +74,7 @@ class Structure:
     def says(self) -> str:
         """What it would explain, and what to do, in words."""
         explained = f"swinging at {self.hertz:.3g} Hz it explains {self.explains:.0%} of what is left"
-        return f"a flexible structure may be it: {self.where}; {explained}. {TODO}"
+        return f"a flexible structure may be it: {self.where}; {explained}. {ADVICE}"
 
     def as_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -91,10 +91,10 @@ def instead_of(now: Hypothesis, says: float, hyper: Hyper) -> Structure | None:
     """The structure that explains more by a claim's evidence than a claimed gear, whose evidence beside ``now`` is ``says``; None: none does."""
     start, p = now.fit(hyper)
     before, excess = now.evidence(start), np.array(now.excesses(p.theta, start))
-    told = [_Told.of(now, s, start) for s in _likeliest(now, start)]
-    best = max([says, *(t.evidence - before for t in told if t.sitting.gear)])
+    judged = [_Judged.of(now, s, start) for s in _likeliest(now, start)]
+    best = max([says, *(t.evidence - before for t in judged if t.sitting.gear)])
     return _structure(
-        now, [t for t in told if not t.sitting.gear and t.evidence - before > best + limit.THRESHOLD], before, excess
+        now, [t for t in judged if not t.sitting.gear and t.evidence - before > best + limit.THRESHOLD], before, excess
     )
 
 
@@ -108,11 +108,11 @@ def of_what_is_left(now: Hypothesis, says: float, hyper: Hyper, before: HeldOut)
     evidence, excess = now.evidence(start), np.array(now.excesses(p.theta, start))
     wanted = limit.TELLING * sum(r.size * (1.0 - 1.0 / k) for r, k in zip(now.engine.rows, start.kappa, strict=True))
     found = _likeliest(now, start, WORTH * wanted)
-    told = [_Told.of(now, s, start) for s in found if s.score > limit.THRESHOLD]
-    best = max([says, 0.0, *(t.evidence - evidence for t in told if t.sitting.gear)])
+    judged = [_Judged.of(now, s, start) for s in found if s.score > limit.THRESHOLD]
+    best = max([says, 0.0, *(t.evidence - evidence for t in judged if t.sitting.gear)])
     sound = [
         t
-        for t in told
+        for t in judged
         if not t.sitting.gear
         and t.evidence - evidence > best + limit.THRESHOLD
         and t.explains(now, excess) > limit.TELLING
@@ -121,20 +121,20 @@ def of_what_is_left(now: Hypothesis, says: float, hyper: Hyper, before: HeldOut)
     return _structure(now, sound, evidence, excess)
 
 
-def _structure(now: Hypothesis, told: list[_Told], evidence: float, excess: Array) -> Structure | None:
+def _structure(now: Hypothesis, judged: list[_Judged], evidence: float, excess: Array) -> Structure | None:
     """Of places that are told beside ``now``, which alone has this ``evidence``: those that lack little of what the likeliest one explains."""
-    if not told:
+    if not judged:
         return None
-    told = sorted(told, key=lambda t: -t.evidence)
-    best = told[0]
-    told = [t for t in told if t.evidence - evidence > (1.0 - limit.PATTERN_SHARE) * (best.evidence - evidence)]
+    judged = sorted(judged, key=lambda t: -t.evidence)
+    best = judged[0]
+    judged = [t for t in judged if t.evidence - evidence > (1.0 - limit.PATTERN_SHARE) * (best.evidence - evidence)]
     joints = tuple(now.engine.data.joints[j] for j in best.mostly(excess))
-    where = tuple(dict.fromkeys(t.sitting.place.where for t in told))
+    where = tuple(dict.fromkeys(t.sitting.place.where for t in judged))
     return Structure(where, joints, round(best.sitting.spring.rate / (2 * np.pi), 2), round(best.explains(now, excess), 3))
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _Judged:
     """A structure beside the model, all fitted again: its evidence, residual variances over noise (n,), held-out error."""
 
     sitting: Sitting
@@ -143,11 +143,11 @@ class _Told:
     after: HeldOut
 
     @staticmethod
-    def of(now: Hypothesis, s: Sitting, hyper: Hyper) -> _Told:
+    def of(now: Hypothesis, s: Sitting, hyper: Hyper) -> _Judged:
         wider = _beside(now, s.moving)
         fitted, p = wider.fit(hyper)
         evidence = wider.evidence(fitted) - _charge(s)
-        return _Told(s, evidence, np.array(wider.excesses(p.theta, fitted)), held_out(wider, fitted))
+        return _Judged(s, evidence, np.array(wider.excesses(p.theta, fitted)), held_out(wider, fitted))
 
     def explains(self, now: Hypothesis, before: Array) -> float:
         """Share of what all joints left together, beyond their noise, where a model does not leave as much of its own recordings."""
