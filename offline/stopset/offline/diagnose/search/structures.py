@@ -19,10 +19,9 @@ from stopset.types import Array, Index
 
 RATES = tuple(np.geomspace(8.0, 80.0, 20).tolist())  # [rad/s] at which it may swing, to begin with
 LIGHTLY = 0.12  # damping to begin with, of the root of stiffness times inertia: as wide as one rate is from the next
-AXES = (
-    (0.0, 1.0),
-    *((float(a), None) for a in np.radians(np.arange(0.0, 180.0, 30.0))),
-)  # angle [rad] and `Spring.across` to begin with
+ANGLES = tuple(
+    np.radians(np.arange(0.0, 180.0, 30.0)).tolist()
+)  # [rad] of the one axis that gives, to begin with; beside two alike
 FEET = (0.0, 0.5)  # [m] below the arm's base at which a pedestal rocks, to begin with
 BATCH = 5  # rates whose columns are held at once
 NEAR = 0.5  # of the likeliest place's score, from which on one is looked at more closely
@@ -184,7 +183,7 @@ def _likeliest(now: Hypothesis, hyper: Hyper, least: float = 0.0) -> list[Sittin
 def _coarse(view: Hypothesis, place: Place, hyper: Hyper, *, gear: bool) -> Sitting | None:
     """The likeliest of all rates and axes; None where nothing stands on it."""
     best = None
-    axes = AXES if len(place.axes) > 1 else ((0.0, None),)
+    axes = [(0.0, 1.0), *((a, None) for a in ANGLES)] if len(place.axes) > 1 else [(0.0, None)]
     for foot in FEET if place.standing else FEET[:1]:
         giving = Giving.of(view.engine.source, place, foot)
         if not np.all(np.einsum("naa->na", giving.own_mass) > 0.0):
