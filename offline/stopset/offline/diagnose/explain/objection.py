@@ -9,15 +9,10 @@ from stopset.offline.diagnose import thresholds as limit
 
 
 def objection(
-    effect: Effect,
-    values: Mapping[str, float],
-    std: Mapping[str, float | None],
-    seconds: float,
-    rotor: float = 0.0,
-    shortest: float = 0.0,
+    effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float, rotor: float = 0.0
 ) -> str:
     """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded; ``rotor`` [kg m^2]: what
-    the joint's motor has without it; ``shortest`` [s] lag that is one, as stamps may mean less."""
+    the joint's motor has without it."""
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
     # of a body its mass decides: moments and inertias without one are the description's errors in other words; of a spring its stiffness
     first = effect.terms[0]
@@ -30,10 +25,6 @@ def objection(
         v, s = sizes[t.symbol]
         if v < t.lo - limit.SURE * s or v > t.hi + limit.SURE * s:
             return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
-    v, s = sizes[first.symbol]
-    if effect.acting and abs(v) - limit.SURE * s < shortest:
-        least = f"expected more than {1e3 * shortest:.2g} ms, which stamps may mean"
-        return f"it is a lag of {1e3 * abs(v):.2g} +- {1e3 * s:.2g} ms; {least}"
     left = rotor + sizes[first.symbol][0]
     if effect.enters == "inertia" and first.unit == "kg m^2" and left <= 0.0:  # of a motor, not of a load
         return f"it would leave the joint's motor an inertia of {left:.3g} {first.unit}: what it stands for is something else"
