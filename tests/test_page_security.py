@@ -66,7 +66,9 @@ def heard(text: str) -> View:
 
 
 @pytest.fixture
-def watch() -> Iterator[ViewerPage]:
+def watch(monkeypatch: pytest.MonkeyPatch) -> Iterator[ViewerPage]:
+    # its words are told once, and a busy browser takes seconds to show them
+    monkeypatch.setattr("stopset.monitor.viewer.view.SLOW", 60.0)
     page = ViewerPage(heard(EVIL), "127.0.0.1", 0)
     page.start()
     yield page
