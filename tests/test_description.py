@@ -113,7 +113,7 @@ def test_frames_that_no_joint_turns_are_no_arms_to_name() -> None:
     two = arm.replace("</robot>", link("r1", 1.0) + joint("right", "revolute", "base", "r1", LIMIT) + "</robot>")
     with pytest.raises(RobotError, match=r"branches at base .*one of l2 \(2 joints\), r1 \(1 joints\), or lock"):
         robot_from_text(two)
-    with pytest.raises(RobotError, match=r"no joint that turns between its base and .* --tip, e.g. l2 \(2 joints\), r1"):
+    with pytest.raises(RobotError, match=r"no revolute joint between its base and .* --tip, e.g. l2 \(2 joints\), r1"):
         robot_from_text(two, {"tip": "foot"})
 
 

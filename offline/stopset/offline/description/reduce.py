@@ -86,7 +86,7 @@ def check_serial(model: Any, tree: Outline, held: Sequence[str]) -> None:
     """Raises `RobotError` where the arm has no joint, or several branches that turn."""
     if model.njoints < 2:
         raise RobotError(
-            f"{tree.source} has no joint that turns between its base and the end of the chain; expected a serial arm: name its last link "
+            f"{tree.source} has no revolute joint between its base and the end of the chain; expected a serial arm: name its last link "
             f"with --tip, e.g. {tree.ends(())}, and lock what does not turn only"
         )
     for below in model.children:
