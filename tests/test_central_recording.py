@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from monitor_process import free_port, listens, running
 from patience import rest, wait
 from stopset.cli.main import main
+from stopset.monitor.evidence.rotation import Rotation
 from stopset.monitor.fleet import Fleet, central, terminal
 from stopset.monitor.fleet.central import Central
 from stopset.monitor.links.zenoh_link import ZenohLink
@@ -111,6 +112,28 @@ def test_a_disk_that_refuses_costs_what_has_no_room_and_says_so(tmp_path: Path, 
     assert [m["n"] for topic, m in said if topic.endswith("/event")] == [15, 16, 17, 18, 19], "the newest are kept"
     assert c.lost == 19 and "19 messages before this one are missing" in str(dict(said)["fleet/log"])
     assert "lacks 19 messages" in fleet.snapshot()["notice"] and terminal(fleet) is not None
+
+
+def test_names_are_in_order_over_a_full_second_and_a_clock_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seconds and nanoseconds of two readings are a second apart when one ends between them; then the newest file went first."""
+    files = Rotation(tmp_path, 0.0, 1.0, "fleet", dict)
+    now = [1_800_000_000 * 10**9 + 999_999_990]
+
+    def tick() -> int:
+        now[0] += 7  # [ns]
+        return now[0]
+
+    monkeypatch.setattr(time, "time_ns", tick)
+    real = time.gmtime
+    monkeypatch.setattr(time, "gmtime", lambda s=None: real(tick() // 10**9 if s is None else s))
+    for k in range(5):
+        if k == 4:
+            now[0] -= 3 * 10**9
+        before = set(tmp_path.iterdir())
+        files.write(lambda _: None)
+        (new,) = set(tmp_path.iterdir()) - before
+        assert new == max(tmp_path.iterdir()), (k, new)
+    files.close()
 
 
 def test_the_oldest_hour_goes_first_and_strangers_words_are_counted(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ class Rotation:
     _stream: BinaryIO | None = None
     _file: McapFile | None = None
     _until: float = 0.0
+    _begun_ns: int = 0  # the time in the name of the last file
     _not_before: float = field(default=float("-inf"))
 
     def write(self, what: Callable[[McapFile], None]) -> str:
@@ -57,7 +58,9 @@ class Rotation:
         while old and size > self.keep_mb * 1e6:
             size -= old[0].stat().st_size
             old.pop(0).unlink()
-        name = f"record-{time.strftime('%Y%m%dT%H%M%S', time.gmtime())}-{time.time_ns() % 1_000_000_000:09d}.mcap"
+        self._begun_ns = max(time.time_ns(), self._begun_ns + 1)  # a clock may be set back; names stay in order
+        s, ns = divmod(self._begun_ns, 1_000_000_000)
+        name = f"record-{time.strftime('%Y%m%dT%H%M%S', time.gmtime(s))}-{ns:09d}.mcap"
         self._stream = (self.folder / name).open("wb")
         self._file = McapFile(self._stream, self.prefix, {**self.about(), "kind": "record"})
         self._until = now + self.file_s
