@@ -28,6 +28,7 @@ from stopset.offline.compare.known import left_over
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import diagnose, diagnose_model
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.uncertainty import BY_ROWS
 from stopset.offline.diagnose.explain.objection import objection
 from stopset.offline.identify.pipeline import Settings, identified
 from stopset.offline.inspect import inspect_recordings
@@ -454,6 +455,9 @@ def test_a_revision_that_widens_the_torque_sets_is_refused() -> None:
 def test_what_is_no_claim() -> None:
     delay, heating, load, gear, body = map(get, ("delay", "self_heating", "load_coulomb", "elasticity", "payload"))
     assert "twice its error" in objection(delay, {"d": 0.051}, {"d": 0.082}, 60.0)
+    # 7 and 5.5 ms at 100 Hz were named of two wrists, where stamps may mean 5
+    assert "which stamps may mean" in objection(delay, {"d": -0.007}, {"d": 0.0024, BY_ROWS: 0.0023}, 30.0, shortest=0.005)
+    assert objection(delay, {"d": 0.0115}, {"d": 0.005, BY_ROWS: 0.0006}, 30.0, shortest=0.005) == ""
     assert "at the end" in objection(heating, {"k_v": -15.0, "k_c": -3.0, "tau_w": 0.5}, {"k_v": 1.7, "k_c": 0.1}, 60.0)
     near = {"k_v": -17.0, "k_c": -0.4, "tau_w": 0.52}  # as a real UR10e's shoulder was said to warm up
     assert "at the end" in objection(heating, near, {"k_v": 0.9, "k_c": 1.8, "tau_w": 0.045}, 60.0)

@@ -19,7 +19,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Beforehand
-from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale, fitted_deviations
+from stopset.offline.diagnose.evidence.uncertainty import BY_ROWS, deviations, drives_scale, fitted_deviations
 from stopset.offline.diagnose.evidence.weighing import Misfit, joint_shares, weighed
 from stopset.offline.diagnose.explain.objection import objection, within
 from stopset.offline.diagnose.explain.partial import partial
@@ -28,6 +28,7 @@ from stopset.offline.diagnose.plays import Plays, plays
 from stopset.offline.diagnose.remainder import Left, left_of, shakes
 from stopset.offline.diagnose.rows.prepare import ROW_STEP
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
+from stopset.offline.diagnose.search.refine import shortest_lag
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
 from stopset.offline.diagnose.search.settled import added
@@ -176,10 +177,11 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     )
     for claim, sure in zip(found.claims, by_fit, strict=True):
         mine = parameters(claim.scored, sure, scale)
-        values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
+        values = {k: p.value for k, p in mine.items()}
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
-        why = objection(c.effect, values, std, seconds, rotor) or _of_another_joint(engine, claim)
+        shortest = shortest_lag(engine, c.joints[0]) if BY_ROWS in sure else 0.0
+        why = objection(c.effect, values, sure, seconds, rotor, shortest) or _of_another_joint(engine, claim)
         why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
         why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
         why = why or _of_single_joints(found, left, claim)

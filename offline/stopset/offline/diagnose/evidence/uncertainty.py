@@ -27,10 +27,11 @@ from stopset.types import Array, Index
 
 TWO_SIDES = 1.96  # standard deviations to either side of a 95 % interval
 STEP = 0.01  # relative step of a shape's numerical derivative
+BY_ROWS = "by its rows"  # of a lag, beside its symbol: its error by its own rows alone, without what stamps mean
 
 
 def deviations(now: Hypothesis, hyper: Hyper, theta: Array, claims: Sequence[Candidate]) -> list[dict[str, float]]:
-    """Standard deviation of every term and shape of ``claims``; ``theta``: coefficients of ``now``, claims included.
+    """Standard deviation of every term and shape of ``claims``, of a lag `BY_ROWS` too; ``theta``: coefficients of ``now``, claims included.
 
     Of a load against a description alone it is that of all scales of the description's errors, each as likely as it is, none below the
     description's own: a fit that leaves little tells that its links agree with each other, not with the truth.
@@ -112,6 +113,7 @@ def fitted_deviations(
             # a lag is known no better than what its stamps mean, and what was taken out of it before
             symbol = c.effect.terms[0].symbol
             stamped = [place[int(k)] for k in engine.stamps]
+            deviation[BY_ROWS] = deviation[symbol]
             by_stamps = _lag_deviation(now, deviation[symbol], theta[stamped], sd[stamped])
             deviation[symbol] = float(np.hypot(by_stamps, engine.lag_std))
     return out

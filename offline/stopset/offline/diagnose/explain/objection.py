@@ -6,13 +6,22 @@ from collections.abc import Mapping
 
 from stopset.effects import Effect
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.uncertainty import BY_ROWS
 
 
 def objection(
-    effect: Effect, values: Mapping[str, float], std: Mapping[str, float | None], seconds: float, rotor: float = 0.0
+    effect: Effect,
+    values: Mapping[str, float],
+    std: Mapping[str, float | None],
+    seconds: float,
+    rotor: float = 0.0,
+    shortest: float = 0.0,
 ) -> str:
-    """Why these numbers of an effect are no finding, empty where they are; ``seconds``: all that was recorded; ``rotor`` [kg m^2]: what
-    the joint's motor has without it."""
+    """Why these numbers of an effect are no finding, empty where they are; ``std``: see `deviations`.
+
+    ``seconds``: all that was recorded; ``rotor`` [kg m^2]: what the joint's motor has without it; ``shortest`` [s]: what a lag must be longer
+    than, as stamps may mean that much.
+    """
     sizes = {t.symbol: (values[t.symbol], std.get(t.symbol) or 0.0) for t in effect.terms}
     # of a body its mass decides: moments and inertias without one are the description's errors in other words; of a spring its stiffness
     first = effect.terms[0]
@@ -25,6 +34,10 @@ def objection(
         v, s = sizes[t.symbol]
         if v < t.lo - limit.SURE * s or v > t.hi + limit.SURE * s:
             return f"{t.symbol} = {v:.3g} +- {s:.2g} {t.unit} is beyond what it can be ({t.lo:g} to {t.hi:g})"
+    lag, by_rows = sizes[first.symbol][0], std.get(BY_ROWS) or 0.0
+    if abs(lag) - limit.SURE * by_rows < shortest:  # what stamps mean is the shortest lag's own matter
+        least = f"expected more than {1e3 * shortest:.2g} ms, which stamps may mean, by twice the error of its rows"
+        return f"it is a lag of {1e3 * abs(lag):.2g} +- {1e3 * by_rows:.2g} ms; {least}"
     left = rotor + sizes[first.symbol][0]
     if effect.enters == "inertia" and first.unit == "kg m^2" and left <= 0.0:  # of a motor, not of a load
         return f"it would leave the joint's motor an inertia of {left:.3g} {first.unit}: what it stands for is something else"

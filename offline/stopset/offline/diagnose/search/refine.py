@@ -101,6 +101,11 @@ def _shifted(now: Hypothesis, start: Scored, hyper: Hyper) -> float:
     return best
 
 
+def shortest_lag(engine: Engine, joint: int) -> float:
+    """[s] of a joint's torque, below which a drive holds or averages it within its stamps."""
+    return max(limit.SHORTEST_LAG, float(engine.prior_sd[engine.stamps[joint]]))
+
+
 def refine(now: Hypothesis, scored: Scored, hyper: Hyper) -> Scored:
     """Search the shapes off their grid: compass search with shrinking steps, in the logarithm (linear for the ripple's n)."""
     effect, joints, charge = scored.candidate.effect, scored.candidate.joints, scored.candidate.charge
@@ -112,8 +117,7 @@ def refine(now: Hypothesis, scored: Scored, hyper: Hyper) -> Scored:
 
     if "d0" in shapes:
         shapes = {"d0": _shifted(now, scored, hyper)}
-        stamps = float(now.engine.prior_sd[now.engine.stamps[joints[0]]])  # within these a drive holds or averages its torque
-        if abs(shapes["d0"]) < max(limit.SHORTEST_LAG, stamps):
+        if abs(shapes["d0"]) < shortest_lag(now.engine, joints[0]):
             return replace(scored, score=0.0)
     elif effect.shapes:
         best_value = value(shapes)
