@@ -372,6 +372,9 @@ def test_command_answers_and_exit_codes(
     write_recordings(bad, META, [replace(r, tau=-r.tau) for r in trials])
     answer = tmp_path / "answer.json"
     assert main(["inspect", str(good)]) == 0
+    told = capsys.readouterr().err
+    assert "good.parquet: trials read" in told and "good.parquet: signals, stamps and torque" in told
+    assert main(["inspect", str(good), "--quiet"]) == 0 and capsys.readouterr().err == ""
     assert main(["inspect", str(good), str(bad), "--json", str(answer), "--report", str(tmp_path / "look.html")]) == 1
     html = (tmp_path / "look.html").read_text()
     assert "wrong_sign" in html and "missing for identification" in html and "http" not in html.split("</script>")[-1]

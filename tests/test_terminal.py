@@ -43,6 +43,10 @@ def test_a_silent_step_is_told_again_and_a_counted_one_with_what_is_left(capsys:
     assert any(re.fullmatch(r"counting: [4-7] of 8, about \d+ s more of this step", s) for s in said), said
 
 
+def test_a_log_is_never_silent_for_ten_seconds() -> None:
+    assert max(steps.OFTEN, steps.SELDOM) + steps.BLINK < 10.0
+
+
 @pytest.mark.usefixtures("brisk")
 def test_a_slow_start_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever a busy machine takes to begin: an error after it is read among few lines."""

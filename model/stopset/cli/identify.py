@@ -133,7 +133,8 @@ def _compared(args: argparse.Namespace, model: Model) -> None:
     """The model against its own recordings, once for answer and page."""
     from stopset.offline.compare.compare import answer, compare
 
-    comparison = compare(model, args.data)
+    with steps("compare", args.data, quiet=args.quiet) as progress:
+        comparison = compare(model, args.data, progress)
     if args.json:
         write_json(args.json, answer(model, comparison))
     if args.report:

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from stopset.cli.common import add_output_options, add_robot_options, check_outputs, say, write_json
+from stopset.cli.steps import steps
 from stopset.words import many
 
 if TYPE_CHECKING:
@@ -28,7 +29,8 @@ def run(args: argparse.Namespace) -> int:
 
     check_outputs(args.json, args.report)
     robot = load_robot(args.robot, tip=args.tip, lock=args.lock) if args.robot else None
-    results = inspect_recordings(args.recordings, robot)
+    with steps("inspect", args.recordings, quiet=args.quiet) as progress:
+        results = inspect_recordings(args.recordings, robot, progress)
     for r in results:
         _print_answer(r)
     if args.robot is None:

@@ -21,7 +21,7 @@ from stopset.files import cache_folder, write_text
 from stopset.progress import Progress, left, silent
 
 OFTEN = 2.5  # [s] between two lines of the same step
-LATER, SELDOM = 60.0, 30.0  # [s] after this long, one line in so many is enough where nobody watches
+LATER, SELDOM = 60.0, 8.0  # [s] after this long, one line in so many is enough where nobody watches
 BEGINS = "loading"  # until there is a step
 BLINK = 0.5  # [s] on a terminal
 ALIKE = 4.0  # times as many bytes, or as few, as the last time: what took so long tells how long this takes

@@ -30,6 +30,7 @@ from stopset.offline.nominal.nominal import solve_nominal
 from stopset.offline.nominal.normal_equations import NormalEquations, accumulate
 from stopset.offline.nominal.prior import prior_of
 from stopset.offline.nominal.scale import rubbing, torque_scales
+from stopset.progress import Progress, counted, silent
 from stopset.recording import Recording, SuiteKey, read_meta, stream_recordings
 from stopset.recording.repetition import POWERED
 from stopset.recording.types import Meta
@@ -138,15 +139,18 @@ class _Campaign:
         return out
 
 
-def inspect_recordings(paths: Sequence[str | Path], robot: Robot | None = None) -> list[Inspection]:
+def inspect_recordings(paths: Sequence[str | Path], robot: Robot | None = None, progress: Progress = silent) -> list[Inspection]:
     """Inspect each file; with ``robot`` torque is also held against its rigid-body model (unit, sign, delay).
+
+    ``progress`` is given every trial that is read, and what is asked of them.
 
     Raises `RecordingError` for files that are no recordings at all; content that the reader refuses becomes ``refused``.
     """
-    found = [_inspect(Path(p), robot) for p in paths]
+    found = [_inspect(Path(p), robot, progress) for p in paths]
     names = [Path(p).name for p in paths]
     more = _copies(names, [trials for _, trials, _ in found])
     if robot is not None:
+        progress("what the recordings say of the arm, held against each other")
         disagree = contradictions(robot, names, [None if i.wrong else data for i, _, data in found])
         more = [[*a, *b] for a, b in zip(more, disagree, strict=True)]
     return [replace(i, findings=(*i.findings, *extra)) for (i, _, _), extra in zip(found, more, strict=True)]
@@ -167,7 +171,7 @@ def _copies(names: Sequence[str], files: Sequence[dict[bytes, str]]) -> list[lis
     return out
 
 
-def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, str], NormalEquations | None]:
+def _inspect(path: Path, robot: Robot | None, progress: Progress) -> tuple[Inspection, dict[bytes, str], NormalEquations | None]:
     meta = read_meta(path)
     joints = robot.joints if robot is not None else meta.joints
     compensated = meta.effort == "compensated_torque"
@@ -176,7 +180,7 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, s
     data: NormalEquations | None = None
     refused = None
     try:
-        stream = campaign.watch(stream_recordings(path, robot))
+        stream = campaign.watch(counted(stream_recordings(path, robot), None, f"{path.name}: trials read", progress))
         if robot is not None:
             data = accumulate(robot, stream, usual_friction(), compensated=compensated)
         else:
@@ -184,6 +188,7 @@ def _inspect(path: Path, robot: Robot | None) -> tuple[Inspection, dict[bytes, s
                 pass
     except RecordingError as e:
         refused = " ".join(str(e).split())
+    progress(f"{path.name}: signals, stamps and torque")
     found = _findings(campaign, joints, meta, robot, data)
     # of a file that breaks off before its first trial nothing is known, what it lacks neither
     phases = campaign.phases()
