@@ -9,14 +9,16 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
+from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.against_model import examined, given_by_state
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
+from stopset.offline.diagnose.as_added import in_question, refused_alone
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.priors import Beforehand, Known
-from stopset.offline.diagnose.examination import Examination, examine
+from stopset.offline.diagnose.examination import Examination, examine, refusing
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
@@ -140,7 +142,7 @@ def diagnose_model(
     q = question(model, recordings)
     if not any(map(moves, q.asked)):
         return replace(standing(q.robot, q.recordings, q.fitted), notes=(*without, *q.notes)), q.against
-    x = examined(q, progress)
+    x = _as_added(model, recordings, examined(q, progress), progress) if q.model is None else examined(q, progress)
     found = answered(x, names)
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 
@@ -157,6 +159,23 @@ def diagnose_model(
     moving = [r for r in q.recordings if moves(r)]
     changed = [c for c in changes(beside, moving, transmitted) if get(c.effect).scope != "arm"]
     return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
+
+
+def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Progress) -> Examination:
+    """The examination of a model's own recordings without what `add` would refuse for what the model leaves of them."""
+    campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
+    asked, refused = dict[str, str](), dict[int, str]()
+    while True:
+        named = {k: r for k, r in enumerate(x.ranked) if not r.objection}
+        for r in named.values():
+            if r.label not in asked and in_question(model, recordings.meta, [r.label]):
+                progress(f"what the model would leave of these recordings with {r.label}")
+                asked[r.label] = refused_alone(model, campaign, r.fitted)
+        more = {k: why for k, r in named.items() if (why := asked.get(r.label))}
+        if not more:
+            return x
+        refused |= more
+        x = refusing(x, refused)  # what was one too many may be named now
 
 
 def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -97,6 +98,11 @@ def examine(
     return Examination(already, found, left, _ranked(found, already, left), plays(as_fitted, recordings))
 
 
+def refusing(x: Examination, refused: Mapping[int, str]) -> Examination:
+    """The examination with claims, by their place, that are ``refused`` for a reason: all that is said of the others is without them."""
+    return replace(x, ranked=_ranked(x.found, x.already, x.left, refused))
+
+
 def excess_left(model: Model, recordings: Recordings) -> Array:
     """(n,) residual variance over the sensors' noise that a model leaves of recordings, as a search in them would begin with it."""
     base = of_model(model)
@@ -161,7 +167,9 @@ def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int
     return out
 
 
-def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]:
+def _ranked(
+    found: Found, already: Hypothesis, left: Left, refused: Mapping[int, str] = MappingProxyType({})
+) -> tuple[Ranked, ...]:
     """Every claim with its numbers, one entry each; errors before and after count those that are findings only, in this order."""
     engine = already.engine
     joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
@@ -174,7 +182,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
     by_fit = (
         fitted_deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims]) if carries else deviation
     )
-    for claim, sure in zip(found.claims, by_fit, strict=True):
+    for k, (claim, sure) in enumerate(zip(found.claims, by_fit, strict=True)):
         mine = parameters(claim.scored, sure, scale)
         values, std = {k: p.value for k, p in mine.items()}, {k: p.std for k, p in mine.items()}
         c = claim.scored.candidate
@@ -183,7 +191,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
         why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
         why = why or _of_single_joints(found, left, claim)
-        objections.append(why or _of_the_load(found, left, misfit, claim))
+        objections.append(why or _of_the_load(found, left, misfit, claim) or refused.get(k, ""))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
