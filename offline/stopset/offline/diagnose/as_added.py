@@ -73,7 +73,7 @@ def in_question(model: Model, meta: Meta, names: Sequence[str]) -> list[str]:
 
     A law that identification chose itself was judged on what was held out: to the recordings that it was fitted to its own number is the nearest.
     """
-    if model.effort == "compensated_torque" or not _of_all(model, meta):
+    if not names or model.effort == "compensated_torque" or not _of_all(model, meta):
         return []
     chosen = tuple(model.provenance.get("chosen", ()))
     return [x for x in names if x not in chosen and levelled(x, model.robot)]
