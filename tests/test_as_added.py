@@ -46,6 +46,7 @@ def test_what_add_refuses_is_not_named_and_is_told_in_its_words(shared_data) -> 
     found, _ = diagnose_model(model, read_recordings(file, robot))
     assert found.verdict == "missing" and found.ranked[0].label == "payload"
     assert name not in [r.label for r in (*found.ranked, *found.claims)]
+    assert next(r for r in found.ranked if r.label == f"load_coulomb:{ELBOW}").in_model  # in its place
     (told,) = (x for u in found.unexplained for x in u.resembles if x.startswith(name))
     revised = add(model, [name], campaign_of(robot, [file]))
     assert revised.model is None and told == f"{name}: {revised.judged[0].why}"

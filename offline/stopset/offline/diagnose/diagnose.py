@@ -15,7 +15,6 @@ from stopset.offline.diagnose.against_model import examined, given_by_state
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
 from stopset.offline.diagnose.as_added import in_question, refused_alone
 from stopset.offline.diagnose.changes import Change, changes
-from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.priors import Beforehand, Known
 from stopset.offline.diagnose.examination import Examination, examine, refusing
@@ -24,7 +23,7 @@ from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.question import question
 from stopset.offline.diagnose.remainder import accounts_for, verdict_of
-from stopset.offline.diagnose.search.search import Claim
+from stopset.offline.diagnose.search.search import Claim, label
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.inspect.gate import check_readings, left_out
 from stopset.offline.nominal.prior import Tolerance
@@ -164,17 +163,16 @@ def diagnose_model(
 def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Progress) -> Examination:
     """The examination of a model's own recordings without what `add` would refuse for what the model leaves of them."""
     campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
-    asked, refused = dict[str, str](), dict[int, str]()
+    asked = dict[str, str]()
     while True:
-        named = {k: r for k, r in enumerate(x.ranked) if not r.objection}
-        for r in named.values():
+        named = [r for r in x.ranked if not r.objection]
+        for r in named:
             if r.label not in asked and in_question(model, recordings.meta, [r.label]):
                 progress(f"what the model would leave of these recordings with {r.label}")
                 asked[r.label] = refused_alone(model, campaign, r.fitted)
-        more = {k: why for k, r in named.items() if (why := asked.get(r.label))}
-        if not more:
+        refused = {name: why for name, why in asked.items() if why}
+        if not any(r.label in refused for r in named):
             return x
-        refused |= more
         x = refusing(x, refused)  # what was one too many may be named now
 
 
@@ -288,7 +286,7 @@ def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
     error = (x.steps(sound)[-1].after if sound else x.found.before).whole
     out = []
     for j, joint in enumerate(x.engine.data.joints):
-        here = [r for r in x.ranked if joint in (r.joints or x.engine.data.joints[:1])]
+        here = [r for r in (*x.ranked, *x.refused) if joint in (r.joints or x.engine.data.joints[:1])]
         stands = {r.label: unknown and (r.surplus or not r.objection) for r in here}
         refuted = tuple(
             f"{r.label}: {LEAVES_TOO_MUCH if stands[r.label] else r.objection}" for r in here if unknown or r.objection
@@ -307,10 +305,3 @@ def _rivals(engine: Engine, claims: Sequence[Claim], stated: Collection[str]) ->
         if others:
             groups.append((label(engine, claim.scored), *others))
     return tuple(groups)
-
-
-def label(engine: Engine, scored: Scored) -> str:
-    """``effect:joint``."""
-    c = scored.candidate
-    where = "+".join(engine.data.joints[j] for j in c.joints)
-    return f"{c.effect.name}:{where}" if where else c.effect.name
