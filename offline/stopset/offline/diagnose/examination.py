@@ -104,13 +104,13 @@ def refusing(x: Examination, refused: Mapping[str, str]) -> Examination:
 
     In the place of each stands the law that identification chose at its joint, where that is a rival of it.
     """
-    found, told = x.found, list(x.refused)
+    found, refusals = x.found, list(x.refused)
     for k, r in enumerate(x.ranked):
         if r.label in refused and not r.objection:
             found, before = with_own_law(found, k), found
-            told += [replace(r, objection=refused[r.label])] if found is not before else []
+            refusals += [replace(r, objection=refused[r.label])] if found is not before else []
     left = x.left if found is x.found else left_of(found)
-    return replace(x, found=found, left=left, ranked=_ranked(found, x.already, left, refused), refused=tuple(told))
+    return replace(x, found=found, left=left, ranked=_ranked(found, x.already, left, refused), refused=tuple(refusals))
 
 
 def excess_left(model: Model, recordings: Recordings) -> Array:
