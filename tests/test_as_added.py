@@ -92,6 +92,6 @@ def test_add_and_diagnosis_ask_by_one_rule(simulated: tuple[str, Model, Recordin
 
 
 def test_a_true_law_where_identification_chose_none_stays_named() -> None:
-    """With it the model leaves 0.355 N m of its own recordings in place of 0.332, though all errors of motions kept back fall: it replaces nothing."""
+    """With it the model leaves 0.355 N m of its own recordings in place of 0.332, though it predicts motions kept back better: it replaces none."""
     case = found_pairs.Case("stribeck loaded", False, effect="stribeck", place="loaded", size=lambda robot, joint: 0.4)
     assert found_pairs.asked("lwa4p", case, 140001)["named"] == ["stribeck:arm_2_joint"]
