@@ -28,9 +28,9 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import survey
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
+from stopset.offline.diagnose.as_added import retained_elsewhere
 from stopset.offline.identify.pipeline import identified
 from stopset.offline.nominal.low_pass import recorded_low_pass
-from stopset.offline.revise.judge import retained_elsewhere
 from stopset.recording import Recording, Recordings, read_recordings
 
 

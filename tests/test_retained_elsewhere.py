@@ -15,7 +15,7 @@ from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import TorqueModel, rms_left
 from stopset.offline.description import load_robot
-from stopset.offline.revise.judge import retained_elsewhere
+from stopset.offline.diagnose.as_added import retained_elsewhere
 from stopset.recording import Recording, read_recordings
 
 PAN, ELBOW = "shoulder_pan_joint", "elbow_joint"

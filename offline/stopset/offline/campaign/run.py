@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.survey import Survey
@@ -20,6 +20,13 @@ class Run:
     trials: Source
     survey: Survey
     settings: Settings
+
+    @property
+    def learning(self) -> Run:
+        """The run of what may shape the nominal model: what is held out to judge the sets must not have."""
+        held, trials = self.survey.held_out, self.trials
+        learnt = replace(self.survey, sample=tuple(r for r in self.survey.sample if r.suite_key not in held))
+        return replace(self, trials=lambda: (r for r in trials() if r.suite_key not in held), survey=learnt)
 
     @property
     def motions(self) -> int:

@@ -9,20 +9,21 @@ import numpy as np
 
 from stopset.artifact import Model
 from stopset.effects import Fitted, get
+from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.against_model import examined, given_by_state
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
+from stopset.offline.diagnose.as_added import refused_alone, takes_a_place
 from stopset.offline.diagnose.changes import Change, changes
-from stopset.offline.diagnose.evidence.candidate import Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.priors import Beforehand, Known
-from stopset.offline.diagnose.examination import Examination, examine
+from stopset.offline.diagnose.examination import Examination, examine, refusing
 from stopset.offline.diagnose.explain import advice
 from stopset.offline.diagnose.explain.identifiable import blind_spots
 from stopset.offline.diagnose.explain.leftover import Pattern, pattern
 from stopset.offline.diagnose.question import question
 from stopset.offline.diagnose.remainder import accounts_for, verdict_of
-from stopset.offline.diagnose.search.search import Claim
+from stopset.offline.diagnose.search.search import Claim, label
 from stopset.offline.diagnose.standing import moves, standing
 from stopset.offline.inspect.gate import check_readings, left_out
 from stopset.offline.nominal.prior import Tolerance
@@ -140,7 +141,7 @@ def diagnose_model(
     q = question(model, recordings)
     if not any(map(moves, q.asked)):
         return replace(standing(q.robot, q.recordings, q.fitted), notes=(*without, *q.notes)), q.against
-    x = examined(q, progress)
+    x = _as_added(model, recordings, examined(q, progress), progress) if q.model is None else examined(q, progress)
     found = answered(x, names)
     chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
 
@@ -157,6 +158,22 @@ def diagnose_model(
     moving = [r for r in q.recordings if moves(r)]
     changed = [c for c in changes(beside, moving, transmitted) if get(c.effect).scope != "arm"]
     return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
+
+
+def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Progress) -> Examination:
+    """The examination of a model's own recordings without what `add` would refuse for what the model leaves of them."""
+    campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
+    asked = dict[str, str]()
+    while True:
+        named = [r for r in x.ranked if not r.objection]
+        for r in named:
+            if r.label not in asked and takes_a_place(model, recordings.meta, r.fitted):
+                progress(f"what the model would leave of these recordings with {r.label}")
+                asked[r.label] = refused_alone(model, campaign, r.fitted)
+        refused = {name: why for name, why in asked.items() if why}
+        if not any(r.label in refused for r in named):
+            return x
+        x = refusing(x, refused)  # what was one too many may be named now
 
 
 def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:
@@ -269,7 +286,7 @@ def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
     error = (x.steps(sound)[-1].after if sound else x.found.before).whole
     out = []
     for j, joint in enumerate(x.engine.data.joints):
-        here = [r for r in x.ranked if joint in (r.joints or x.engine.data.joints[:1])]
+        here = [r for r in (*x.ranked, *x.refused) if joint in (r.joints or x.engine.data.joints[:1])]
         stands = {r.label: unknown and (r.surplus or not r.objection) for r in here}
         refuted = tuple(
             f"{r.label}: {LEAVES_TOO_MUCH if stands[r.label] else r.objection}" for r in here if unknown or r.objection
@@ -288,10 +305,3 @@ def _rivals(engine: Engine, claims: Sequence[Claim], stated: Collection[str]) ->
         if others:
             groups.append((label(engine, claim.scored), *others))
     return tuple(groups)
-
-
-def label(engine: Engine, scored: Scored) -> str:
-    """``effect:joint``."""
-    c = scored.candidate
-    where = "+".join(engine.data.joints[j] for j in c.joints)
-    return f"{c.effect.name}:{where}" if where else c.effect.name

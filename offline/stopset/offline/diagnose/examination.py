@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from stopset.offline.diagnose.remainder import Left, left_of, shakes
 from stopset.offline.diagnose.rows.prepare import ROW_STEP
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.refine import shortest_lag
-from stopset.offline.diagnose.search.search import Claim, Found, search
+from stopset.offline.diagnose.search.search import Claim, Found, label, search, with_own_law
 from stopset.offline.diagnose.search.settle import within_reach
 from stopset.offline.diagnose.search.settled import added
 from stopset.offline.diagnose.search.structures import may_sit_at
@@ -55,6 +56,7 @@ class Examination:
     left: Left
     ranked: tuple[Ranked, ...]
     plays: Plays  # what angles behind the gears say, beside all torque
+    refused: tuple[Ranked, ...] = ()  # what gave way to the model's own law at its joint, and why
 
     @property
     def engine(self) -> Engine:
@@ -96,6 +98,20 @@ def examine(
     # what bends a gear is the torque of the arm as it is, with what it carries and all: a description may be any times off
     as_fitted = robot.with_parameters(robot.pi + engine.body(left.theta).reshape(robot.pi.shape))
     return Examination(already, found, left, _ranked(found, already, left), plays(as_fitted, recordings))
+
+
+def refusing(x: Examination, refused: Mapping[str, str]) -> Examination:
+    """The examination with claims, by their label, that are ``refused`` for a reason: all that is said of the others is without them.
+
+    In the place of each stands the law that identification chose at its joint, where that is a rival of it.
+    """
+    found, refusals = x.found, list(x.refused)
+    for k, r in enumerate(x.ranked):
+        if r.label in refused and not r.objection:
+            found, before = with_own_law(found, k), found
+            refusals += [replace(r, objection=refused[r.label])] if found is not before else []
+    left = x.left if found is x.found else left_of(found)
+    return replace(x, found=found, left=left, ranked=_ranked(found, x.already, left, refused), refused=tuple(refusals))
 
 
 def excess_left(model: Model, recordings: Recordings) -> Array:
@@ -162,7 +178,9 @@ def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int
     return out
 
 
-def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]:
+def _ranked(
+    found: Found, already: Hypothesis, left: Left, refused: Mapping[str, str] = MappingProxyType({})
+) -> tuple[Ranked, ...]:
     """Every claim with its numbers, one entry each; errors before and after count those that are findings only, in this order."""
     engine = already.engine
     joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
@@ -185,7 +203,7 @@ def _ranked(found: Found, already: Hypothesis, left: Left) -> tuple[Ranked, ...]
         why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
         why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
         why = why or _of_single_joints(found, left, claim)
-        objections.append(why or _of_the_load(found, left, misfit, claim))
+        objections.append(why or _of_the_load(found, left, misfit, claim) or refused.get(label(engine, claim.scored), ""))
     steps = _sound(found, already, objections)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):

@@ -17,6 +17,7 @@ import numpy as np
 from stopset.artifact import Model
 from stopset.effects.base import Fitted
 from stopset.effects.selection import usual_friction
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.survey import survey
 from stopset.offline.compare.known import TorqueModel, rms_left
 from stopset.offline.compare.restored import restored
@@ -148,6 +149,11 @@ def in_time(
     if cutoff:
         recordings = replace(recordings, trials=tuple(restored(body, recordings, cutoff)))
     return in_step(recordings, *_common(taken_out))
+
+
+def own_in_time(run: Run, body: Model | TorqueModel, taken_out: Sequence[Mapping[str, Any]]) -> Recordings:
+    """All that a model of a run is held against of its own recordings, `in_time`."""
+    return in_time(Recordings(run.meta, tuple(run.survey.sample)), body, run.survey.low_pass, taken_out)
 
 
 def _common(taken_out: Sequence[Mapping[str, Any]]) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from stopset.offline.conform.linear_sets import ConformedSets, conform, few_moti
 from stopset.offline.conform.tightness import Tightness, of_tube
 from stopset.offline.description.agreement import held_to_pinocchio
 from stopset.offline.diagnose.examination import excess_left
-from stopset.offline.diagnose.question import in_time
+from stopset.offline.diagnose.question import own_in_time
 from stopset.offline.diagnose.standing import moves
 from stopset.offline.identify.absurd import absurd, late, silent
 from stopset.offline.identify.constants import settings_sha256
@@ -37,7 +37,7 @@ from stopset.offline.nominal.parameter_uncertainty import notes as uncertainty_n
 from stopset.offline.nominal.parameter_uncertainty import widened
 from stopset.progress import Progress
 from stopset.reach.flowpipe import deviation_tube
-from stopset.recording import Meta, Recording, Recordings
+from stopset.recording import Meta, Recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ def _with_own_error(model: Model, run: Run, nominal: NominalPart) -> Model:
         return model
     left, excess = nominal.left_of_own, nominal.excess_of_own
     if left is None:
-        own = in_time(Recordings(run.meta, tuple(run.survey.sample)), model, run.survey.low_pass, model.provenance["taken_out"])
+        own = own_in_time(run, model, model.provenance["taken_out"])
         rms = rms_left(model, own.trials)
         left = tuple(float(x) if np.isfinite(x) else None for x in rms)
         with suppress(RecordingError):  # too short to be diagnosed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -46,7 +46,6 @@ from stopset.offline.nominal.low_pass import in_words, recorded_low_pass
 from stopset.offline.nominal.pair_choice import coupled
 from stopset.offline.nominal.preprocess import Preprocessing
 from stopset.progress import Progress, silent
-from stopset.recording import Recording
 from stopset.robot import Robot
 from stopset.words import many
 
@@ -93,18 +92,13 @@ def identified(
         progress(text)
     meta = replace(meta, warnings=(*meta.warnings, *warnings))
     progress(f"{many(found.trials, f'{found.phase} trial')}, {found.samples} samples")
-    # what is held out to judge the sets must not have shaped the nominal model either
-    held = found.held_out
-    learnt = replace(found, sample=tuple(r for r in found.sample if r.suite_key not in held))
-
-    def learning() -> Iterator[Recording]:
-        return (r for r in source() if r.suite_key not in held)
-
+    run = Run(robot, meta, source, found, chosen)
+    learning = run.learning
+    learnt = learning.survey
     if meta.effort != "compensated_torque" and (cutoff := recorded_low_pass(robot, learnt.sample)):
         learnt = replace(learnt, low_pass=cutoff)
         progress(in_words(cutoff))
-    run = Run(robot, meta, source, found, chosen)
-    fitting = replace(run, trials=passing(learning, len(learnt.sample), PASSES, FITTING, progress), survey=learnt)
+    fitting = replace(run, trials=passing(learning.trials, len(learnt.sample), PASSES, FITTING, progress), survey=learnt)
     shared = _shared(fitting, known)
     numbers = asked_effects(fitting, known, [g.name for g in shared])
     shared = tuple(g for g in shared if any(matches(f, g.name) for f in numbers))

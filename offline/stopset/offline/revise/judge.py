@@ -15,15 +15,16 @@ from stopset.artifact import Model
 from stopset.artifact.inputs import entry
 from stopset.effects import get
 from stopset.effects.base import Fitted
-from stopset.effects.selection import parse_effect, usual
+from stopset.effects.selection import parse_effect
 from stopset.errors import RecordingError
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Ranked
+from stopset.offline.diagnose.as_added import levelled, raised, raised_of_own, retained_effects, retained_elsewhere
 from stopset.offline.diagnose.compensated import JointStep, OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import Estimate, estimates
-from stopset.offline.diagnose.evidence.baseline import own, settled
+from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.diagnose.lacking import rises
 from stopset.offline.diagnose.question import question
 from stopset.offline.revise.held_out import Halves, nominal_figures
@@ -158,11 +159,6 @@ def _at_joints(simulated: Mapping[str, float], at: Mapping[str, JointStep], side
     return out
 
 
-def retained_effects(model: Model) -> tuple[Fitted, ...]:
-    """Effects beyond plain friction that a revision of a model keeps, with their numbers."""
-    return tuple(f for f in settled(model) if not get(f.effect).base)
-
-
 def by_evidence(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
@@ -187,7 +183,11 @@ def by_evidence(
         more = replace(around(found), effects=(*settings.effects, *wanted))
         taken = (*retained, *(e.fitted for e in found))
         after = judge.simulated(more, taken) if found else plain
-        worse = {} if force else _worse(judge.robot, wanted, (plain, after), chosen)
+        errors = _torque(plain, joints), _torque(after, joints)
+        # what judges leaves the laws in question that identification chose; the model without what is added has them
+        worse = {} if force else raised(judge.robot, wanted, errors, chosen, "on held-out data")
+        if not worse and not force:
+            worse, more = raised_of_own(judge.model, judge.campaign, more, taken, wanted)
         if not worse:
             break
         refused |= worse
@@ -206,56 +206,9 @@ def by_evidence(
     return Judgement(tuple(judged), start, more, taken, answer.words)
 
 
-def retained_elsewhere(settings: Settings, chosen: Sequence[str], added: Sequence[Fitted], robot: Robot) -> Settings:
-    """``settings`` in which the laws that identification has ``chosen`` in the same recordings are those of all joints but those of what is
-    ``added``, where any may be chosen.
-
-    Which laws there are is told by a few percent of a short recording's error: asked again beside a number that is given, they come out
-    otherwise at other joints.  Of a UR10e, the very number that a regression had found for a law of one joint, given to it, made the error of
-    another joint a fifth larger on motions not seen, for that one had lost its law.
-    """
-    at = {j for f in added for j in f.joints}
-    if settings.friction != "evidence" or any(not f.joints for f in added):
-        return settings
-    stay = tuple(x for x in chosen if x.partition(":")[2] not in at)
-    there = tuple(f"{x}:{j}" for x in usual() for j in robot.joints if j in at)
-    return replace(settings, friction_among=(*stay, *there), friction_retained=stay)
-
-
-def levelled(name: str, robot: Robot) -> bool:
-    """Whether an effect is friction that does not warm up: of that all that it does is in the torque error of a nominal model."""
-    effect = parse_effect(name, robot)[0]
-    return effect.role == "friction" and "warm" not in effect.needs
-
-
-def _worse(
-    robot: Robot, names: Sequence[str], errors: tuple[Mapping[str, float], Mapping[str, float]], chosen: Sequence[str]
-) -> dict[str, str]:
-    """Friction that raises the torque error of its joint on held-out data, each with the reason; ``errors``: of the nominal model without and with
-    all of ``names``, each with what the evidence chooses beside.
-
-    What judges an effect leaves the laws in question that identification chose, those of the ``chosen`` among them whose numbers were fitted
-    together with all else; the model without it has them.
-    """
-    out = {}
-    for name in names:
-        for j in parse_effect(name, robot)[1] if levelled(name, robot) else ():
-            a, b = (x[f"{HELD_OUT[0]}:{j}"] for x in errors)
-            if b > (1.0 + limit.RISES) * a:
-                out[name] = worse_words(name, j, (a, b), chosen, "on held-out data")
-                break
-    return out
-
-
-def worse_words(name: str, joint: str, errors: tuple[float, float], chosen: Sequence[str], where: str) -> str:
-    """Why friction is refused that raises the torque error [N m] that a model leaves of a joint."""
-    a, b = errors
-    rise = f"the torque that the model leaves of {joint} would rise from {a:.3g} to {b:.3g} N m {where}"
-    if name in chosen:
-        return f"the model has it already, and its numbers stay: with those that the diagnosis gives {rise}"
-    laws = ", ".join(x for x in chosen if joint in x.partition(":")[2].split("+"))
-    there = f"the model has {laws} there already" if laws else "what the model has there already explains more"
-    return f"{rise}; expected it to fall: {there}"
+def _torque(simulated: Mapping[str, float], joints: Sequence[str]) -> dict[str, float]:
+    """The torque error [N m] of each joint."""
+    return {j: simulated[f"{HELD_OUT[0]}:{j}"] for j in joints}
 
 
 def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:

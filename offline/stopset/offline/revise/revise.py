@@ -21,6 +21,7 @@ from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.as_added import raised_of_own, retained_effects
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.identify.pipeline import Identification, Keep, identified
 from stopset.offline.inspect.gate import check_files, check_trials
@@ -32,9 +33,6 @@ from stopset.offline.revise.judge import (
     Judgement,
     by_evidence,
     by_simulation,
-    levelled,
-    retained_effects,
-    worse_words,
 )  # fmt: skip
 from stopset.progress import Progress, silent
 from stopset.reach.stops import stop
@@ -138,9 +136,8 @@ def _revision(
     def revision(settings: Settings) -> tuple[Identification, Refused]:
         """What is identified so, and why it is refused."""
         found = identified(robot, campaign, settings, progress, known=verdict.known, keep=keep)
-        wider = widened(before, found.model.revisions[-1].after)
-        wrong = Refused("", wider) if wider else risen(model, found.model, verdict.judged)
-        return found, Refused() if force else wrong
+        wider = "" if force else widened(before, found.model.revisions[-1].after)
+        return found, Refused("", wider)
 
     without: Model | None = model
     if not own(model, campaign.meta):
@@ -152,7 +149,12 @@ def _revision(
     chosen = () if without is None else tuple(without.provenance.get("chosen", ()))
     if refused.why and not set(found.model.provenance.get("chosen", ())) <= set(chosen):
         progress("identifying it with the friction that there is without it")
-        found, refused = revision(replace(verdict.settings, friction_among=chosen))
+        settings = replace(verdict.settings, friction_among=chosen)
+        found, refused = revision(settings)
+        if not refused.why and not force:
+            names = [j.name for j in verdict.judged if not j.why]
+            worse, _ = raised_of_own(model, campaign, settings, verdict.known, names)
+            refused = next((Refused(name, why) for name, why in worse.items()), refused)
     return found, without, refused
 
 
@@ -186,25 +188,6 @@ def widened(before: Mapping[str, float], after: Mapping[str, float]) -> str:
         f"the widths of U would grow from {a:.3g} to {b:.3g} N m in sum; expected no more than {limit.WIDER:.0%}, for what is known of an "
         "arm cannot make it less certain: are these recordings all of one condition (payload, tool, day)? give the others apart"
     )
-
-
-def risen(model: Model, revised: Model, judged: Sequence[Judged]) -> Refused:
-    """Why a revision of the same recordings is refused whose torque error rises at a joint of what is added, and for which law.
-
-    Of friction that does not warm up: what else there is is not all in that error.  What judges an effect leaves the laws in question that
-    identification chose itself; beside these it may explain nothing more, or take the place of one that explains more.  One of those laws
-    itself was judged on what was held out (`by_evidence`): to the recordings that it was fitted to its own number is the nearest.
-    """
-    chosen = tuple(model.provenance.get("chosen", ()))
-    names = [x.name for x in judged if not x.why and x.name not in chosen and levelled(x.name, model.robot)]
-    if not names or dict(model.provenance.get("data", {})) != dict(revised.provenance.get("data", {})):
-        return Refused()
-    before, after = (dict(zip(m.joints, m.provenance.get("left_of_own_Nm") or (), strict=False)) for m in (model, revised))
-    for name, j in ((x, j) for x in names for j in parse_effect(x, model.robot)[1]):
-        a, b = before.get(j), after.get(j)
-        if a is not None and b is not None and b > (1.0 + limit.RISES) * a:
-            return Refused(name, worse_words(name, j, (a, b), chosen, "in these recordings"))
-    return Refused()
 
 
 def _names(effects: Sequence[str], robot: Robot, settings: Settings) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from stopset.effects import catalogue
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
+from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.evidence import Projection
 from stopset.offline.diagnose.evidence.forms import with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
@@ -20,7 +21,7 @@ from stopset.offline.diagnose.search.predicts import judged, outdone, outdone_at
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.search.settle import instead, likeliest_gear, said_already, settle, shows_in_its_place
-from stopset.offline.diagnose.search.settled import added, refines
+from stopset.offline.diagnose.search.settled import added, refines, refitted
 from stopset.offline.diagnose.search.wanted import exact, wanted
 from stopset.offline.nominal.friction_choice import LOADS
 from stopset.progress import Progress, silent
@@ -123,6 +124,25 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
         now, retained[k] = _settled_again(now, claim, hyper, refused, names)
     now, hyper, p = _as_loaded(now, retained, hyper)
     return Found(tuple(_as_fitted(now, retained, p.theta)), tuple(left), now, hyper, now.excesses(p.theta, hyper), first)
+
+
+def with_own_law(found: Found, k: int) -> Found:
+    """The outcome with the law that identification chose in these recordings in the place of the claim ``k`` at its joint, where that is a
+    possible rival of it; else as it is."""
+    claim = found.claims[k]
+    c, chosen = claim.scored.candidate, found.now.engine.chosen - {c.key for c in found.now.active}
+    own = next((s for s in claim.rivals if s.candidate.key in chosen and s.candidate.joints == c.joints), None)
+    if own is None:
+        return found
+    top = refitted(found.now.without(c.key), own, found.hyper)
+    if not top.possible:
+        return found
+    others = tuple(s for s in claim.rivals if s is not own)
+    claims = list(found.claims)
+    claims[k] = replace(claim, scored=top.scored, score=top.scored.score, rivals=others)
+    now, hyper, p = _as_loaded(found.now.instead(top.candidate, c.key), claims, top.hyper)
+    excess = now.excesses(p.theta, hyper)
+    return replace(found, claims=tuple(_as_fitted(now, claims, p.theta)), now=now, hyper=hyper, excess=excess)
 
 
 def _asked_now(
@@ -236,3 +256,10 @@ def _foremost_first(now: Hypothesis, claims: list[Claim], hyper: Hyper) -> list[
         return claims
     ordered = iter(sorted(alike, key=says, reverse=True))
     return [next(ordered) if k in alike else k for k in claims]
+
+
+def label(engine: Engine, scored: Scored) -> str:
+    """``effect:joint``."""
+    c = scored.candidate
+    where = "+".join(engine.data.joints[j] for j in c.joints)
+    return f"{c.effect.name}:{where}" if where else c.effect.name

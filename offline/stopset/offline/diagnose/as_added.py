@@ -1,0 +1,173 @@
+"""Friction that a model leaves more torque with than without: one rule for what `diagnose` names and what `add` takes.
+
+What judges an effect leaves the laws in question that identification chose itself, whose numbers were fitted together with all else.  Beside
+these it may explain nothing more, or take the place of one that explains more: so it is given to a nominal model of the same recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stopset.artifact import Abstraction, Model
+from stopset.effects import Fitted, get
+from stopset.effects.selection import of_part, parse_effect, usual
+from stopset.offline.abstraction.nominal_part import NominalPart, fit_nominal, regressed
+from stopset.offline.campaign.run import Run
+from stopset.offline.campaign.settings import Settings, settings_of
+from stopset.offline.campaign.source import Campaign
+from stopset.offline.compare.known import TorqueModel, rms_left
+from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.evidence.baseline import own, settled
+from stopset.offline.diagnose.question import own_in_time
+from stopset.offline.nominal.nominal import LOW_PASS
+from stopset.recording import Meta
+from stopset.robot import Robot
+
+Errors = tuple[Mapping[str, float], Mapping[str, float]]  # [N m] of each joint, without and with what is added
+
+
+def refused_alone(model: Model, campaign: Campaign, f: Fitted) -> str:
+    """Why `add` of ``f`` alone is refused for what the model then leaves of its own recordings; empty where it is not."""
+    settings, robot = settings_of(model), model.robot.as_described
+    around = retained_elsewhere(settings, model.provenance.get("chosen", ()), [f], robot)
+    more = replace(around, effects=(*settings.effects, f.label))
+    return raised_of_own(model, campaign, more, (*retained_effects(model), f), [f.label])[0].get(f.label, "")
+
+
+def raised_of_own(
+    model: Model, campaign: Campaign, settings: Settings, known: tuple[Fitted, ...], names: Sequence[str]
+) -> tuple[dict[str, str], Settings]:
+    """The first of ``names`` with which a nominal model of the model's own recordings leaves more of its joint than the model, and why, nothing
+    where none does; and the settings to identify the revision with.
+
+    ``settings``, ``known``: of the revision.
+    """
+    chosen = tuple(model.provenance.get("chosen", ()))
+    asked = in_question(model, campaign.meta, names)
+    if not asked:
+        return {}, settings
+    shared = [f for f in model.effects if f.label in chosen and not regressed(get(f.effect))]
+    given = (*known, *(f for f in shared if f.label not in {k.label for k in known}))
+    run = Run(model.robot.as_described, campaign.meta, campaign.trials, campaign.seen.survey, settings)
+
+    def refused(revision: Settings) -> tuple[dict[str, str], NominalPart]:
+        part = fit_nominal(_learning(replace(run, settings=revision), model), given)
+        mine = NominalPart(model.robot, model.rotor, model.effects, _plain_damping(model, part), (), taken_out=_taken_out(model))
+        errors = _left(run, mine), _left(run, part)
+        return raised(model.robot, asked, errors, chosen, "in these recordings"), part
+
+    worse, part = refused(settings)
+    if worse and not {g.name for g in part.chosen} <= set(chosen):
+        # a law is to answer for it itself, not another that is chosen beside it
+        settings = replace(settings, friction_among=chosen)
+        worse, _ = refused(settings)
+    return dict(list(worse.items())[:1]), settings  # each speaks against itself, not against what it was named with
+
+
+def in_question(model: Model, meta: Meta, names: Sequence[str]) -> list[str]:
+    """Those of ``names`` that are asked of a model's own recordings: friction whose torque is all in that error (`levelled`).
+
+    A law that identification chose itself was judged on what was held out: to the recordings that it was fitted to its own number is the nearest.
+    """
+    if not names or model.effort == "compensated_torque" or not _of_all(model, meta):
+        return []
+    chosen = tuple(model.provenance.get("chosen", ()))
+    return [x for x in names if x not in chosen and levelled(x, model.robot)]
+
+
+def takes_a_place(model: Model, meta: Meta, f: Fitted) -> bool:
+    """Whether ``f`` is asked of a model's own recordings, and would stand beside or for a law that identification chose at its joint.
+
+    Where it chose none a true law may still leave more there than none, beside the links that were fitted without it: a Stribeck effect of 0.4
+    left 0.355 N m in place of 0.332.
+    """
+    here = {j for name in model.provenance.get("chosen", ()) for j in name.partition(":")[2].split("+")}
+    return bool(here & set(f.joints)) and bool(in_question(model, meta, [f.label]))
+
+
+def raised(robot: Robot, names: Sequence[str], errors: Errors, chosen: Sequence[str], where: str) -> dict[str, str]:
+    """The friction among ``names`` with which more torque is left of its joint than without, each with the reason.
+
+    ``chosen``: laws that identification chose; ``where``: the errors are of, in words.  A joint whose error is not known is not asked.
+    """
+    out = {}
+    for name in names:
+        for j in parse_effect(name, robot)[1] if levelled(name, robot) else ():
+            a, b = (x.get(j, float("nan")) for x in errors)
+            if b > (1.0 + limit.RISES) * a:
+                out[name] = _worse_words(name, j, (a, b), chosen, where)
+                break
+    return out
+
+
+def retained_effects(model: Model) -> tuple[Fitted, ...]:
+    """Effects beyond plain friction that a revision of a model keeps, with their numbers."""
+    return tuple(f for f in settled(model) if not get(f.effect).base)
+
+
+def retained_elsewhere(settings: Settings, chosen: Sequence[str], added: Sequence[Fitted], robot: Robot) -> Settings:
+    """``settings`` in which the laws that identification has ``chosen`` in the same recordings are those of all joints but those of what is
+    ``added``, where any may be chosen.
+
+    Which laws there are is told by a few percent of a short recording's error: asked again beside a number that is given, they come out
+    otherwise at other joints.  Of a UR10e, the very number that a regression had found for a law of one joint, given to it, made the error of
+    another joint a fifth larger on motions not seen, for that one had lost its law.
+    """
+    at = {j for f in added for j in f.joints}
+    if settings.friction != "evidence" or any(not f.joints for f in added):
+        return settings
+    stay = tuple(x for x in chosen if x.partition(":")[2] not in at)
+    there = tuple(f"{x}:{j}" for x in usual() for j in robot.joints if j in at)
+    return replace(settings, friction_among=(*stay, *there), friction_retained=stay)
+
+
+def levelled(name: str, robot: Robot) -> bool:
+    """Whether an effect is friction that does not warm up: of that all that it does is in the torque error of a nominal model."""
+    effect = parse_effect(name, robot)[0]
+    return effect.role == "friction" and "warm" not in effect.needs
+
+
+def _of_all(model: Model, meta: Meta) -> bool:
+    """Whether a model was identified from these recordings and no others."""
+    return own(model, meta) and sorted(dict(model.provenance["data"]).values()) == sorted(sha for _, sha in meta.sources)
+
+
+def _learning(run: Run, model: Model) -> Run:
+    """What may shape the nominal model of a run, with the low-pass that its identification found."""
+    cutoff = next((float(x["value"]) for x in _taken_out(model) if x["what"] == LOW_PASS), 0.0)
+    learning = run.learning
+    return replace(learning, survey=replace(learning.survey, low_pass=cutoff))
+
+
+def _taken_out(model: Model) -> tuple[dict[str, Any], ...]:
+    return tuple(model.provenance.get("taken_out", ()))
+
+
+def _left(run: Run, part: NominalPart) -> dict[str, float]:
+    """[N m] what a nominal model leaves of each joint in all recordings of a run."""
+    body = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
+    left = rms_left(body, own_in_time(run, body, part.taken_out).trials)
+    return dict(zip(part.robot.joints, left.tolist(), strict=True))
+
+
+def _plain_damping(model: Model, part: NominalPart) -> Abstraction:
+    """The linear abstraction of ``part`` with the damping of the model: what a model leaves hangs on no abstraction else."""
+    law = of_part("damping")
+    damping = {f.joint: f.values[law.terms[0].symbol] for f in model.effects if f.effect == law.name}
+    viscous = np.array([[max(damping.get(j, 0.0), 0.0)] for j in model.joints])
+    return replace(part.abstraction, viscous=viscous)
+
+
+def _worse_words(name: str, joint: str, errors: tuple[float, float], chosen: Sequence[str], where: str) -> str:
+    """Why friction is refused that raises the torque error [N m] that a model leaves of a joint."""
+    a, b = errors
+    rise = f"the torque that the model leaves of {joint} would rise from {a:.3g} to {b:.3g} N m {where}"
+    if name in chosen:
+        return f"the model has it already, and its numbers stay: with those that the diagnosis gives {rise}"
+    laws = ", ".join(x for x in chosen if joint in x.partition(":")[2].split("+"))
+    there = f"the model has {laws} there already" if laws else "what the model has there already explains more"
+    return f"{rise}; expected it to fall: {there}"
