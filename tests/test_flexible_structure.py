@@ -1,18 +1,20 @@
-"""A pedestal that rocks and a link that bends are no elastic gears, and say so."""
+"""A pedestal that rocks and a link that bends are no elastic gears, and the answer says that and where they may sit."""
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from stopset.offline.description import robot_from_text
+from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis
-from stopset.offline.diagnose.columns.elasticity import swing
-from stopset.offline.diagnose.columns.structure import Giving, Place, places
+from stopset.offline.diagnose.columns.elasticity import rocked, swing
+from stopset.offline.diagnose.columns.structure import Giving, Spring, gears, mixed, places
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.recording import Recordings
 from stopset.simulation import prepare
@@ -24,40 +26,106 @@ import flexible_structure
 ROBOT = robot_from_text(ARM)
 
 
-def test_a_structure_about_a_joint_s_own_axis_is_that_joint_s_gear() -> None:
-    """One chain with a joint more against the gear's own columns: the same swing, the same torques."""
+@pytest.fixture(scope="module")
+def engine() -> Engine:
     scenario = prepare(ROBOT, ["none"], 4, "short")
     trials = tuple(scenario.recordings())[:20]
-    source = Engine.build(scenario.robot, Recordings(replace(scenario.meta, sources=()), trials)).source
-    c, K, D = ROBOT.chain, 900.0, 4.0
-    for j in range(1, ROBOT.n):
-        own = Place("", j, c.R[j] @ c.axis[j], c.p[j], np.zeros(3))
-        got, want = Giving.of(source, own).columns(K, D), swing(source, j, {"K": K, "D": D})
-        for i, (moving, _) in want.items():
-            assert got[:, i] == pytest.approx(moving[:, 0], rel=1e-6, abs=1e-6 * float(np.abs(moving).max()))
+    return Engine.build(scenario.robot, Recordings(replace(scenario.meta, sources=()), trials))
+
+
+def test_a_structure_about_a_joint_s_own_axis_is_that_joint_s_gear(engine: Engine) -> None:
+    """One chain with a joint more against the gear's own columns: the same swing, the same torques, but for what is not linear in it."""
+    rate, damping = 80.0, 0.1
+    for j, own in list(enumerate(gears(ROBOT)))[1:]:
+        giving = Giving.of(engine.source, own)
+        got = giving.columns(Spring(rate, damping))
+        K, D = rate**2 * giving.inertia, damping * rate * giving.inertia
+        want = swing(engine.source, j, {"K": K, "D": D, "exact": 1.0})
+        moving = np.concatenate([want[i][0] for i in range(ROBOT.n)], axis=1)
+        assert np.linalg.norm(got - moving) < 0.03 * np.linalg.norm(moving)
 
 
 def test_it_may_sit_under_the_base_and_at_every_link_across_it() -> None:
     found = places(ROBOT)
-    assert {p.where for p in found} == {"the base", "the link before lift", "the link before bend"}
-    assert all(abs(p.axis @ p.before) < 1e-12 and np.linalg.norm(p.axis) == pytest.approx(1.0) for p in found)
+    assert [p.where for p in found] == ["the base", "the link before lift", "the link before bend"]
+    for p in found:
+        assert p.axes @ p.axes.T == pytest.approx(np.eye(2)) and np.abs(p.axes @ p.before).max() < 1e-12
+
+
+def test_columns_of_any_axis_are_made_of_those_of_two(engine: Engine) -> None:
+    """Where its inertia is the same about all of them: here about an axis of the place, told by both ways."""
+    giving = Giving.of(engine.source, places(ROBOT)[0], 0.5)
+    for angle in (0.0, np.pi / 2):
+        whole = giving.parts(40.0, 0.1) @ mixed(angle, None)
+        alone = giving.columns(Spring(40.0, 0.1, angle))
+        for j in range(ROBOT.n):
+            if np.std(alone[:, j]) > 0:
+                assert np.corrcoef(whole[:, j], alone[:, j])[0, 1] > 0.9
+
+
+def test_two_axes_rock_as_their_common_inertia_has_it(engine: Engine) -> None:
+    """The core's integration against a solver of differential equations, of one trial whose inertia couples the axes."""
+    source, d = engine.source, engine.source.data
+    under_way = np.isnan(source.begins(np.zeros(len(d.q)))[0])  # such trials are taken to begin bent by their torque, at no speed
+    first = source.first & under_way
+    trial = max((t.rows for t in d.trials if t.rows.stop > t.rows.start and first[t.rows.start]), key=lambda r: r.stop - r.start)
+    N, dt = len(d.q), d.step * d.kernel.dt
+    M, g = np.tile(np.array([[3.0, 1.2], [1.2, 2.0]]), (N, 1, 1)), np.tile(np.array([[-40.0, 8.0], [8.0, -20.0]]), (N, 1, 1))
+    springs = np.array([[3e3, 9.0], [5e3, 7.0]])
+    at = (np.arange(N) - trial.start) * dt
+    torque = np.stack([30 * np.sin(11 * at), 20 * np.cos(17 * at) - 20], axis=1)
+    x, ddx = rocked(source, torque, np.zeros((N, 2)), M, g, springs)
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        force = -np.array([30 * np.sin(11 * t), 20 * np.cos(17 * t) - 20])
+        return np.concatenate(
+            [y[2:], np.linalg.solve(M[0], force - springs[:, 1] * y[2:] - (np.diag(springs[:, 0]) + g[0]) @ y[:2])]
+        )
+
+    here = slice(trial.start, trial.stop)
+    start = np.concatenate([x[trial.start], [0.0, 0.0]])
+    want = solve_ivp(slope, (0.0, at[trial.stop - 1]), start, t_eval=at[here], rtol=1e-8, atol=1e-10).y[:2].T
+    assert x[here] == pytest.approx(want, abs=0.05 * float(np.abs(want).max()))
+    bent = np.einsum("ij,nj->ni", np.diag(springs[:, 0]) + g[0], x[here])
+    still = np.einsum("ij,nj->ni", M[0], ddx[here]) + torque[here] + bent  # what is left is the dampers' torque
+    assert np.abs(still).max() < 0.2 * float(np.abs(bent).max())
 
 
 def asked(kind: str, seed: int) -> Diagnosis:
     return flexible_structure.asked(ROBOT, kind, seed)[1]
 
 
-def test_a_link_that_bends_is_no_gear_and_the_answer_says_where_it_may_sit() -> None:
-    answer = asked("link", 4)
+@pytest.mark.parametrize(
+    ("kind", "seed", "where"),
+    [("pedestal", 501, "the base"), ("link", 513, "the link before bend"), ("link", 514, "the link before bend")],
+)
+def test_where_a_structure_gives_none_is_named_and_the_answer_says_where_it_may_sit(kind: str, seed: int, where: str) -> None:
+    """Of the first two nothing is claimed, of the last one a gear."""
+    s, answer = flexible_structure.asked(ROBOT, kind, seed)
     assert answer.verdict == "unknown" and not answer.ranked
-    told = " ".join(x for u in answer.unexplained for x in u.resembles)
-    assert "flexible structure" in told and "the link before bend" in told
+    told = answer.structure
+    assert told is not None and told.may_sit_at[0] == where and told.joints and told.explains > 0.5
+    assert told.hertz == pytest.approx(s.frequency, rel=0.25)  # it depends on the pose, and is stated of the rows' median inertia
+    written = json.loads(json.dumps(answer.as_json()))["structure"]
+    assert written["may_sit_at"] == list(told.may_sit_at) and written["explains"] == told.explains
+    assert "stiffen it" in written["says"]
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("pedestal", 1), ("link", 2), ("pedestal", 3)])
-def test_no_gear_is_named_where_a_structure_gives(kind: str, seed: int) -> None:
-    answer = asked(kind, seed)
-    assert answer.verdict == "unknown" and not answer.ranked
+@pytest.mark.parametrize("seed", [2, 4])
+def test_no_gear_is_named_where_a_structure_gives(seed: int) -> None:
+    assert not asked("pedestal", seed).ranked and not asked("link", seed).ranked
+
+
+@pytest.mark.parametrize(("hide", "verdict"), [("none", "none"), ("outside_bump", "unknown"), ("outside_walk", "unknown")])
+def test_no_structure_is_told_where_none_gives(hide: str, verdict: str) -> None:
+    answer = flexible_structure.diagnosed(ROBOT, None, 541, hide)
+    assert answer.verdict == verdict and answer.structure is None and answer.as_json()["structure"] is None
+
+
+def test_a_soft_gear_is_no_link_that_bends_about_the_same_axis() -> None:
+    """Seed 721's was taken for one: a gear is held against a structure as it was claimed, with the swings that its trials began with."""
+    answer = flexible_structure.diagnosed(load_robot("lwa4p"), None, 721, "elasticity")
+    assert [r.label for r in answer.ranked] == ["elasticity:arm_2_joint"] and answer.structure is None
 
 
 def test_the_same_arm_on_a_rigid_structure_lacks_nothing() -> None:
