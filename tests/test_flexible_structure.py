@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis
-from stopset.offline.diagnose.columns.elasticity import rocked, swing
-from stopset.offline.diagnose.columns.structure import Giving, Spring, gears, mixed, places
+from stopset.offline.diagnose.columns.elasticity import swing
+from stopset.offline.diagnose.columns.structure import Giving, Spring, gears, places
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.recording import Recordings
 from stopset.simulation import prepare
@@ -52,43 +51,19 @@ def test_it_may_sit_under_the_base_and_at_every_link_across_it() -> None:
         assert p.axes @ p.axes.T == pytest.approx(np.eye(2)) and np.abs(p.axes @ p.before).max() < 1e-12
 
 
-def test_columns_of_any_axis_are_made_of_those_of_two(engine: Engine) -> None:
-    """Where its inertia is the same about all of them: here about an axis of the place, told by both ways."""
-    giving = Giving.of(engine.source, places(ROBOT)[0], 0.5)
-    for angle in (0.0, np.pi / 2):
-        whole = giving.parts(40.0, 0.1) @ mixed(angle, None)
-        alone = giving.columns(Spring(40.0, 0.1, angle))
-        for j in range(ROBOT.n):
-            if np.std(alone[:, j]) > 0:
-                assert np.corrcoef(whole[:, j], alone[:, j])[0, 1] > 0.9
-
-
-def test_two_axes_rock_as_their_common_inertia_has_it(engine: Engine) -> None:
-    """The core's integration against a solver of differential equations, of one trial whose inertia couples the axes."""
-    source, d = engine.source, engine.source.data
-    under_way = np.isnan(source.begins(np.zeros(len(d.q)))[0])  # such trials are taken to begin bent by their torque, at no speed
-    first = source.first & under_way
-    trial = max((t.rows for t in d.trials if t.rows.stop > t.rows.start and first[t.rows.start]), key=lambda r: r.stop - r.start)
-    N, dt = len(d.q), d.step * d.kernel.dt
-    M, g = np.tile(np.array([[3.0, 1.2], [1.2, 2.0]]), (N, 1, 1)), np.tile(np.array([[-40.0, 8.0], [8.0, -20.0]]), (N, 1, 1))
-    springs = np.array([[3e3, 9.0], [5e3, 7.0]])
-    at = (np.arange(N) - trial.start) * dt
-    torque = np.stack([30 * np.sin(11 * at), 20 * np.cos(17 * at) - 20], axis=1)
-    x, ddx = rocked(source, torque, np.zeros((N, 2)), M, g, springs)
-
-    def slope(t: float, y: np.ndarray) -> np.ndarray:
-        force = -np.array([30 * np.sin(11 * t), 20 * np.cos(17 * t) - 20])
-        return np.concatenate(
-            [y[2:], np.linalg.solve(M[0], force - springs[:, 1] * y[2:] - (np.diag(springs[:, 0]) + g[0]) @ y[:2])]
-        )
-
-    here = slice(trial.start, trial.stop)
-    start = np.concatenate([x[trial.start], [0.0, 0.0]])
-    want = solve_ivp(slope, (0.0, at[trial.stop - 1]), start, t_eval=at[here], rtol=1e-8, atol=1e-10).y[:2].T
-    assert x[here] == pytest.approx(want, abs=0.05 * float(np.abs(want).max()))
-    bent = np.einsum("ij,nj->ni", np.diag(springs[:, 0]) + g[0], x[here])
-    still = np.einsum("ij,nj->ni", M[0], ddx[here]) + torque[here] + bent  # what is left is the dampers' torque
-    assert np.abs(still).max() < 0.2 * float(np.abs(bent).max())
+def test_a_pedestal_is_taken_about_both_its_axes_and_a_link_about_any_across_it(engine: Engine) -> None:
+    base, _, link = places(ROBOT)
+    both = Giving.of(engine.source, base, 0.5)
+    spring = Spring(40.0, 0.1)
+    alone = [both.crossed(angle) for angle in (0.0, np.pi / 2)]
+    assert [x.inertia for x in alone] == pytest.approx(
+        [both.inertia] * 2, rel=0.2
+    )  # one stiffness of both is near that of either
+    apart = sum(x.columns(spring) for x in alone)
+    assert np.linalg.norm(both.columns(spring) - apart) < 0.2 * np.linalg.norm(apart)
+    giving = Giving.of(engine.source, link)
+    one, other = (giving.crossed(angle).columns(spring) for angle in (0.3, 0.3 + np.pi))
+    assert one == pytest.approx(other)  # an axis has no sides
 
 
 def asked(kind: str, seed: int) -> Diagnosis:

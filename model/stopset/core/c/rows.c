@@ -168,45 +168,6 @@ void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const d
     }
 }
 
-/* ddx (2,) at which A ddx = f - D dx - S y, A (2, 2) symmetric. */
-static void pushed(const double *A, const double *f, const double *D, const double *dx, const double *S, const double *y, double *ddx) {
-    const double a = f[0] - D[0] * dx[0] - (S[0] * y[0] + S[1] * y[1]), b = f[1] - D[1] * dx[1] - (S[2] * y[0] + S[3] * y[1]);
-    const double whole = A[0] * A[3] - A[1] * A[2];
-    ddx[0] = (A[3] * a - A[1] * b) / whole;
-    ddx[1] = (A[0] * b - A[2] * a) / whole;
-}
-
-void stopset_rocked(const StopsetRocking *s, int64_t N, const double *torque, const double *x0, const double *dx0, double *out) {
-    const double h = s->dt / s->parts;
-    double x[2] = {0.0, 0.0}, dx[2] = {0.0, 0.0};
-    for (int64_t k = 0; k < N; k++) {
-        const double *M = s->M + 4 * k, *f = torque + 2 * k;
-        const double stiff[4] = {s->K[0] + s->g[4 * k], s->g[4 * k + 1], s->g[4 * k + 2], s->K[1] + s->g[4 * k + 3]};
-        if (s->first[k]) {
-            memcpy(x, x0 + 2 * k, sizeof x);
-            memcpy(dx, dx0 + 2 * k, sizeof dx);
-        } else if (k > 0)
-            for (int i = 0; i < s->parts; i++) { /* by Newmark's rule */
-                const double w = (i + 0.5) / s->parts;
-                double A[4], force[2], y[2], ddx[2];
-                for (int c = 0; c < 4; c++) A[c] = M[c - 4] + w * (M[c] - M[c - 4]) + 0.25 * h * h * stiff[c];
-                for (int c = 0; c < 2; c++) {
-                    A[3 * c] += 0.5 * h * s->D[c];
-                    force[c] = -(f[c - 2] + w * (f[c] - f[c - 2]));
-                    y[c] = x[c] + 0.5 * h * dx[c];
-                }
-                pushed(A, force, s->D, dx, stiff, y, ddx);
-                for (int c = 0; c < 2; c++) {
-                    x[c] += h * dx[c] + 0.5 * h * h * ddx[c];
-                    dx[c] += h * ddx[c];
-                }
-            }
-        const double force[2] = {-f[0], -f[1]};
-        memcpy(out + 2 * k, x, sizeof x);
-        pushed(M, force, s->D, dx, stiff, x, out + 2 * (N + k));
-    }
-}
-
 void stopset_led(const StopsetSwing *s, int64_t N, const double *link, const double *rest, int64_t steps, double *x0, double *dx0) {
     const double h = s->dt / s->parts;
     for (int64_t k = 0; k < N; k++) {

@@ -639,17 +639,6 @@ STOPSET_API void stopset_swung(const StopsetSwing *swing, int64_t N, const doubl
 STOPSET_API void stopset_led(const StopsetSwing *swing, int64_t N, const double *link, const double *rest, int64_t steps, double *x0,
                              double *dx0);
 
-typedef struct {
-    const double *M, *g;  /* (N, 2, 2) inertia [kg m^2], gravity's stiffness [N m/rad] about two axes */
-    const uint8_t *first;
-    const double *K, *D;  /* (2,) [N m/rad], [N m s/rad] */
-    double dt;            /* [s] between rows, in so many parts */
-    int32_t parts;
-} StopsetRocking;
-
-/* Position and acceleration, out (2, N, 2), of what rocks about both under `torque` (N, 2) [N m], from x0, dx0 (N, 2) at each first row. */
-STOPSET_API void stopset_rocked(const StopsetRocking *rocking, int64_t N, const double *torque, const double *x0, const double *dx0, double *out);
-
 /* ---- simulation/: the arm that models are tested on; it shares no code with what bounds stops. At most 16 joints. */
 
 /* M (n, n) [kg m^2] and bias (n,) [N m], the torque at no acceleration, at q [rad], dq [rad/s]. */

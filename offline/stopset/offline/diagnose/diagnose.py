@@ -69,7 +69,8 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         new = ~engine.as_before
         before = [np.array(c.excess_before)[new] for c in _refused(x)]
         verdict = "unknown" if any(np.max(e, initial=0.0) > limit.SENSORS for e in before) else "none"
-    if x.structures:  # what is claimed beside a gear that is none is a part of the same swing
+    structure = x.structure() if verdict == "unknown" or x.structures else None
+    if structure is not None:  # what is claimed beside a gear that is none is a part of the same swing
         verdict = "unknown"
     loose = tuple(r for r in x.plays.beside([r.label for r in ranked]) if names is None or r.effect in names)
     blind = (
@@ -100,7 +101,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         not_identifiable=blind,
         next_experiment=next_experiment,
         unexplained=_unexplained(x, verdict),
-        structure=x.structure() if verdict == "unknown" and not loose else None,
+        structure=None if loose else structure,
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),

@@ -31,7 +31,7 @@ from stopset.offline.diagnose.search.predicts import Step, step, too_little
 from stopset.offline.diagnose.search.search import Claim, Found, search
 from stopset.offline.diagnose.search.settle import within_reach
 from stopset.offline.diagnose.search.settled import added
-from stopset.offline.diagnose.search.structures import Structure, instead_of, of_what_is_left
+from stopset.offline.diagnose.search.structures import Structure, explaining, of_what_is_left
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -74,12 +74,15 @@ class Examination:
         return _steps(self.found, self.already, [self.found.claims[k] for k in claims])
 
     def structure(self) -> Structure | None:
-        """The structure that explains more than a gear that was claimed, or most of what is left where nothing is named; None: none does."""
-        for found in self.structures.values():
-            return found
+        """The structure that explains most of what the model leaves without any claim, and more than the best of them; None: none does.
+
+        Beside what is claimed, much of little may be left: that takes no name away.
+        """
+        if len(self.found.claims) == 1 and self.structures:  # asked already, beside the same model
+            found = self.structures[0]
+            return found if found.telling else None
         hyper, _ = self.already.fit()
-        says = max((c.score for c in self.found.claims), default=0.0)
-        return of_what_is_left(self.already, says, hyper, self.found.before)
+        return of_what_is_left(self.already, max((c.score for c in self.found.claims), default=0.0), hyper)
 
 
 def examine(
@@ -318,8 +321,7 @@ def _structure(found: Found, claim: Claim) -> Structure | None:
     if c.effect.role != "swing":
         return None
     base = found.now.without(c.key)
-    says = found.now.evidence(found.hyper) - base.evidence(base.fit(found.hyper)[0])
-    return instead_of(base, says, found.hyper)
+    return explaining(base, found.now.evidence(found.hyper) - base.evidence(base.fit(found.hyper)[0]), found.hyper)
 
 
 def _of_the_structure(structure: Structure | None) -> str:

@@ -88,33 +88,12 @@ def driven(
     source: ArmSignals, torque: Array, gravity: Array, M: Array, g: Array, spring: tuple[float, float]
 ) -> tuple[Array, Array]:
     """Position and acceleration (N,) of what swings on a ``spring`` (K, D) as ``torque`` (N,) drives it, of which ``gravity`` at rest."""
-    filtered, torque = _driven(source, gravity, M, g, spring), np.ascontiguousarray(torque)
-    x, _, ddx = filtered(torque, *filtered.at_rest(torque))
-    return x, ddx
-
-
-def _driven(source: ArmSignals, gravity: Array, M: Array, g: Array, spring: tuple[float, float]) -> _Filter:
     d, (K, D) = source.data, spring
+    rest, lead = source.begins(gravity)
     M, g = np.ascontiguousarray(M), np.ascontiguousarray(g)
-    return _Filter(M, g, K, D, d.step * d.kernel.dt, source.first, *source.begins(gravity))
-
-
-def rocked(source: ArmSignals, torque: Array, gravity: Array, M: Array, g: Array, springs: Array) -> tuple[Array, Array]:
-    """`driven` about two axes at once, which share inertia ``M`` (N, 2, 2): (N, 2) each; ``springs`` (2, 2): K and D of either.
-
-    How it begins is said of either axis by itself.
-    """
-    start = np.zeros((2, *torque.shape))
-    for i, spring in enumerate(springs):
-        filtered = _driven(source, gravity[:, i], M[:, i, i], g[:, i, i], (float(spring[0]), float(spring[1])))
-        start[..., i] = filtered.at_rest(np.ascontiguousarray(torque[:, i]))
-    K, D = np.ascontiguousarray(springs.T)
-    M, g, first, found = given(M), given(g), source.first, np.empty((2, *torque.shape))
-    held = ffi.new(
-        "StopsetRocking *", (view(M), view(g), flags(first), view(K), view(D), source.data.step * source.data.kernel.dt, SUBSTEPS)
-    )
-    lib.stopset_rocked(held, len(torque), view(given(torque)), view(start[0]), view(start[1]), view(found))
-    x, ddx = found
+    filtered = _Filter(M, g, K, D, d.step * d.kernel.dt, source.first, rest, lead)
+    torque = np.ascontiguousarray(torque)
+    x, _, ddx = filtered(torque, *filtered.at_rest(torque))
     return x, ddx
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stopset.offline.diagnose.columns.elasticity import driven, rocked
+from stopset.offline.diagnose.columns.elasticity import driven
 from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.robot import Robot
 from stopset.robot.rigid import Chain, gravity_torques, mass_matrices, torques
@@ -45,6 +45,11 @@ class Place:
         """Whether it stands on a foot."""
         return bool(np.any(self.up))
 
+    @property
+    def crossing(self) -> bool:
+        """Whether it gives about one of all axes that cross its own, rather than about all of its own."""
+        return len(self.axes) > 1 and not self.standing
+
 
 def places(robot: Robot) -> list[Place]:
     """Two level axes under the base, and two across every link half way along."""
@@ -73,22 +78,19 @@ def _across(direction: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Spring:
-    """How a structure gives: ``rate`` [rad/s] and ``damping`` (of the root of stiffness times inertia) of its swing about the axis at ``angle``
-    [rad], from the place's first to its second; how many times as stiff it is ``across`` that, None: rigid; ``foot`` [m], ``own``: its
-    own inertia over the arm's."""
+    """How a structure gives: ``rate`` [rad/s] and ``damping`` (of the root of stiffness times inertia) of its swing; ``angle`` [rad] of the axis
+    across a link, from the place's first to its second; ``foot`` [m] below a pedestal's top."""
 
     rate: float
     damping: float
     angle: float = 0.0
-    across: float | None = None
     foot: float = 0.0
-    own: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Giving:
-    """A place, of whose foot one is taken, with all that its swing asks of the rows, about each of its axes: ``mass`` and gravity's stiffness
-    ``stiff`` of the arm's joints (N, n, k) and of its own (N, k, k), (N, k) its ``moment`` and gravity's."""
+    """A place, its foot chosen, with all that its swing asks of the rows, about each of its axes: ``mass`` and gravity's stiffness ``stiff`` of
+    the arm's joints (N, n, k) and of its own (N, k, k), (N, k) its ``moment`` and gravity's."""
 
     source: ArmSignals
     mass: Array
@@ -115,60 +117,19 @@ class Giving:
         """[kg m^2] about its axes, of all that stands on it, the median over the rows."""
         return float(np.median(np.trace(self.own_mass, axis1=1, axis2=2) / self.own_mass.shape[1]))
 
-    def about(self, angle: float, k: int) -> Giving:
-        """The same about the first ``k`` of its axes turned by ``angle`` [rad]."""
-        c, s, own = np.cos(angle), np.sin(angle), self.moment.shape[1]
-        a = np.array([[c, -s], [s, c]])[:own, : min(k, own)]
-        return Giving(
-            self.source,
-            self.mass @ a,
-            self.stiff @ a,
-            a.T @ self.own_mass @ a,
-            a.T @ self.own_stiff @ a,
-            self.moment @ a,
-            self.gravity @ a,
-        )
+    def crossed(self, angle: float) -> Giving:
+        """The same about one axis that crosses its two at ``angle`` [rad]."""
+        axis = np.array([[np.cos(angle)], [np.sin(angle)]])
+        own_mass, own_stiff = (axis.T @ x @ axis for x in (self.own_mass, self.own_stiff))
+        mass, stiff, moment, gravity = (x @ axis for x in (self.mass, self.stiff, self.moment, self.gravity))
+        return Giving(self.source, mass, stiff, own_mass, own_stiff, moment, gravity)
 
     def columns(self, s: Spring) -> Array:
-        """(N, n) what the structure adds to the joints' torques, as a gear's swing does."""
-        g = self.about(s.angle, 1 if s.across is None else 2)
-        k, inertia = g.moment.shape[1], self.inertia
-        own, K = s.own * inertia, s.rate**2 * inertia * (1.0 + s.own)
-        springs = np.array([(K * x, s.damping * K * x / s.rate) for x in (1.0, s.across or 1.0)])
-        if k > 1:
-            x, ddx = rocked(g.source, g.moment, g.gravity, g.own_mass + own * np.eye(2), g.own_stiff, springs)
-        else:
-            x, ddx = (
-                y[:, None]
-                for y in driven(
-                    g.source, g.moment[:, 0], g.gravity[:, 0], g.own_mass[:, 0, 0] + own, g.own_stiff[:, 0, 0], tuple(springs[0])
-                )
-            )
-        return np.asarray(np.einsum("nij,nj->ni", g.mass, ddx) + np.einsum("nij,nj->ni", g.stiff, x))
-
-    def parts(self, rate: float, damping: float) -> Array:
-        """(N, n, 3) columns of which those of any one axis of two are made, but for what inertia differs between these: `mixed` says how."""
-        M = self.inertia
-        spring = rate**2 * M, damping * rate * M
-        own_mass, own_stiff = (np.einsum("naa->n", x) / x.shape[1] for x in (self.own_mass, self.own_stiff))
-        swings = [
-            driven(self.source, self.moment[:, i], self.gravity[:, i], own_mass, own_stiff, spring)
-            for i in range(self.moment.shape[1])
-        ]
-
-        def of(i: int, j: int) -> Array:
-            x, ddx = swings[j]
-            return self.mass[..., i] * ddx[:, None] + self.stiff[..., i] * x[:, None]
-
-        first = of(0, 0)
-        if len(swings) == 1:
-            return np.stack([first, np.zeros_like(first), np.zeros_like(first)], axis=-1)
-        return np.stack([first, of(0, 1) + of(1, 0), of(1, 1)], axis=-1)
-
-
-def mixed(angle: float, across: float | None) -> Array:
-    """(3,) shares of `Giving.parts` of one axis at ``angle`` [rad]; with an ``across``, of both alike."""
-    if across is not None:
-        return np.array([1.0, 0.0, 1.0])
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * c, c * s, s * s])
+        """(N, n) what the structure adds to the joints' torques, as a gear's swing does: of a pedestal's axes, equally stiff, each by itself."""
+        K = s.rate**2 * self.inertia
+        out = np.zeros(self.mass.shape[:2])
+        for i in range(self.moment.shape[1]):
+            own = (self.moment[:, i], self.gravity[:, i], self.own_mass[:, i, i], self.own_stiff[:, i, i])
+            x, ddx = driven(self.source, *own, (K, s.damping * K / s.rate))
+            out += self.mass[..., i] * ddx[:, None] + self.stiff[..., i] * x[:, None]
+        return out
