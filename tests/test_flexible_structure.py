@@ -14,7 +14,10 @@ from stopset.offline.description import load_robot, robot_from_text
 from stopset.offline.diagnose import Diagnosis
 from stopset.offline.diagnose.columns.elasticity import swing
 from stopset.offline.diagnose.columns.structure import Giving, Spring, gears, places
+from stopset.offline.diagnose.diagnose import answered
 from stopset.offline.diagnose.evidence.engine import Engine
+from stopset.offline.diagnose.examination import examine
+from stopset.offline.diagnose.search.structures import Structure
 from stopset.recording import Recordings
 from stopset.simulation import prepare
 from test_hidden_effects import ARM
@@ -95,6 +98,20 @@ def test_no_gear_is_named_where_a_structure_gives(seed: int) -> None:
 def test_no_structure_is_told_where_none_gives(hide: str, verdict: str) -> None:
     answer = flexible_structure.diagnosed(ROBOT, None, 541, hide)
     assert answer.verdict == verdict and answer.structure is None and answer.as_json()["structure"] is None
+
+
+def test_what_explains_less_than_half_takes_no_name_away() -> None:
+    """Of a real UR10e a gear that is none was claimed beside its load, and a link that bends explained 29 % of what was left: no name stood."""
+    scenario = prepare(ROBOT, ["payload"], 4, "short")
+    made = Recordings(replace(scenario.meta, sources=()), tuple(scenario.recordings()))
+    x = examine(scenario.robot, made)
+    names = [r.label for r in answered(x).ranked]
+    assert "payload" in names
+    little, most = (Structure(("the base",), ("turn",), 5.0, share) for share in (0.29, 0.9))
+    beside = answered(replace(x, structures={0: little}))
+    assert (beside.verdict, [r.label for r in beside.ranked], beside.structure) == ("missing", names, None)
+    alone = replace(x, found=replace(x.found, claims=x.found.claims[:1]), ranked=x.ranked[:1], structures={0: most})
+    assert answered(alone).verdict == "unknown" and answered(alone).structure is most
 
 
 def test_a_soft_gear_is_no_link_that_bends_about_the_same_axis() -> None:

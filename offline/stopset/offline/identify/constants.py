@@ -180,7 +180,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("diagnosis rows", sampling, "ROUNDING"),
     ("diagnosis refinement", refine, "FINEST_LAG"),
     ("diagnosis structure", structure, "SHORT STEP"),
-    ("diagnosis structure", structures, "RATES LIGHTLY ANGLES FEET NEAR WORTH STEPS FINEST TRIALS DAMPED"),
+    ("diagnosis structure", structures, "RATES LIGHTLY ANGLES FEET NEAR WORTH STEPS FINEST ROUNDS DAMPED"),
     ("diagnosis lag", lag_form, "FINEST SETTLED"),
     ("diagnosis settlement", settled, "PARTS"),
     ("diagnosis settlement", moment_arms, "SEARCHES ALONG CLIMB FALLS"),

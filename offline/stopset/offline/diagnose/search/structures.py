@@ -78,18 +78,18 @@ def explaining(now: Hypothesis, says: float, hyper: Hyper, least: float = 0.0) -
     evidence, excess = now.evidence(start), np.array(now.excesses(p.theta, start))
     robot, view = now.engine.robot, _in_one_fold(now.view())
 
-    def judged(those: list[Place], least: float, price: float) -> list[Judged]:
+    def judged(those: list[Place], least: float, price: float) -> list[Beside]:
         found = _likeliest(view, those, start, least)
-        return sorted((Judged.of(now, s, start, evidence + price) for s in found), key=lambda x: -x.says)
+        return sorted((Beside.of(now, s, start, evidence + price) for s in found), key=lambda x: -x.says)
 
-    told = [x for x in judged(places(robot), least, limit.SWING_PRICE) if x.says > says + limit.THRESHOLD]
-    if not told or not told[0].lowers(held_out(now, start)):
+    better = [x for x in judged(places(robot), least, limit.SWING_PRICE) if x.says > says + limit.THRESHOLD]
+    if not better or not better[0].lowers(held_out(now, start)):
         return None
     says = max([says, *(x.says for x in judged(gears(robot), 0.0, 0.0))])
-    best = told[0]
+    best = better[0]
     if best.says <= says + limit.THRESHOLD:
         return None
-    alike = [x for x in told if x.says > max((1.0 - limit.PATTERN_SHARE) * best.says, says + limit.THRESHOLD)]
+    alike = [x for x in better if x.says > max((1.0 - limit.PATTERN_SHARE) * best.says, says + limit.THRESHOLD)]
     where = tuple(dict.fromkeys(x.sitting.place.where for x in alike))
     joints = tuple(now.engine.data.joints[j] for j in best.mostly(excess))
     return Structure(where, joints, round(best.sitting.spring.rate / (2 * np.pi), 2), round(best.explains(now, excess), 3))
@@ -113,7 +113,7 @@ class Sitting:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class Beside:
     """A structure beside the model, all fitted again: the evidence that it adds, residual variances over noise (n,), the fit."""
 
     sitting: Sitting
@@ -123,13 +123,13 @@ class Judged:
     fitted: Hyper
 
     @staticmethod
-    def of(now: Hypothesis, s: Sitting, hyper: Hyper, evidence: float) -> Judged:
+    def of(now: Hypothesis, s: Sitting, hyper: Hyper, evidence: float) -> Beside:
         """``evidence``: without it."""
         wider, cols = _bordered(now.view(), s.moving[..., None], rows=True)
         gear = _gear()
         wider = wider.plus(Candidate(gear, (), {}, cols, np.array([gear.terms[0].typical])))
         fitted, p = wider.fit(hyper)
-        return Judged(s, wider.evidence(fitted) - evidence, np.array(wider.excesses(p.theta, fitted)), wider, fitted)
+        return Beside(s, wider.evidence(fitted) - evidence, np.array(wider.excesses(p.theta, fitted)), wider, fitted)
 
     def explains(self, now: Hypothesis, before: Array) -> float:
         """Share of what all joints left together, beyond their noise, where a model does not leave as much of its own recordings."""
@@ -200,12 +200,12 @@ def _moved(s: Spring, shape: str, by: float) -> Iterator[Spring]:
 
 def _giving(view: Hypothesis, place: Place) -> Callable[[Spring], Giving]:
     """What gives at a place with a spring's axis and foot; what its chain is asked for is kept."""
-    kept: dict[float, Giving] = {}
+    stored: dict[float, Giving] = {}
 
     def at(s: Spring) -> Giving:
-        if s.foot not in kept:
-            kept[s.foot] = Giving.of(view.engine.source, place, s.foot)
-        return kept[s.foot].crossed(s.angle) if place.crossing else kept[s.foot]
+        if s.foot not in stored:
+            stored[s.foot] = Giving.of(view.engine.source, place, s.foot)
+        return stored[s.foot].crossed(s.angle) if place.crossing else stored[s.foot]
 
     return at
 
