@@ -78,9 +78,9 @@ def explaining(now: Hypothesis, says: float, hyper: Hyper, least: float = 0.0) -
     evidence, excess = now.evidence(start), np.array(now.excesses(p.theta, start))
     robot, view = now.engine.robot, _in_one_fold(now.view())
 
-    def judged(those: list[Place], least: float, price: float) -> list[Beside]:
+    def judged(those: list[Place], least: float, price: float) -> list[Refitted]:
         found = _likeliest(view, those, start, least)
-        return sorted((Beside.of(now, s, start, evidence + price) for s in found), key=lambda x: -x.says)
+        return sorted((Refitted.of(now, s, start, evidence + price) for s in found), key=lambda x: -x.says)
 
     better = [x for x in judged(places(robot), least, limit.SWING_PRICE) if x.says > says + limit.THRESHOLD]
     if not better or not better[0].lowers(held_out(now, start)):
@@ -113,7 +113,7 @@ class Sitting:
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class Refitted:
     """A structure beside the model, all fitted again: the evidence that it adds, residual variances over noise (n,), the fit."""
 
     sitting: Sitting
@@ -123,13 +123,13 @@ class Beside:
     fitted: Hyper
 
     @staticmethod
-    def of(now: Hypothesis, s: Sitting, hyper: Hyper, evidence: float) -> Beside:
+    def of(now: Hypothesis, s: Sitting, hyper: Hyper, evidence: float) -> Refitted:
         """``evidence``: without it."""
         wider, cols = _bordered(now.view(), s.moving[..., None], rows=True)
         gear = _gear()
         wider = wider.plus(Candidate(gear, (), {}, cols, np.array([gear.terms[0].typical])))
         fitted, p = wider.fit(hyper)
-        return Beside(s, wider.evidence(fitted) - evidence, np.array(wider.excesses(p.theta, fitted)), wider, fitted)
+        return Refitted(s, wider.evidence(fitted) - evidence, np.array(wider.excesses(p.theta, fitted)), wider, fitted)
 
     def explains(self, now: Hypothesis, before: Array) -> float:
         """Share of what all joints left together, beyond their noise, where a model does not leave as much of its own recordings."""
@@ -175,17 +175,18 @@ def _coarse(view: Hypothesis, place: Place, hyper: Hyper) -> Sitting | None:
 
 def _climbed(view: Hypothesis, s: Sitting, hyper: Hyper) -> Sitting:
     """The spring of most evidence near the one of ``s``: one step at a time, of which each is shorter where none leads up."""
-    at, steps = _giving(view, s.place), 1.0
+    at, steps, rounds = _giving(view, s.place), 1.0, ROUNDS
     shapes = ["rate", "damping", *["angle"] * s.place.crossing, *["foot"] * s.place.standing]
-    for _ in range(ROUNDS):
+    while steps > FINEST and rounds:
+        rounds -= 1
         beside = [x for shape in shapes for x in _moved(s.spring, shape, steps * STEPS[shape])]
         moving = np.stack([at(x).columns(x) for x in beside], axis=-1)
         scores = _scores(view, moving, hyper)
         top = int(np.argmax(scores))
         if scores[top] > s.score:
             s = Sitting(float(scores[top]), s.place, beside[top], moving[..., top])
-        elif (steps := 0.5 * steps) <= FINEST:
-            break
+        else:
+            steps *= 0.5
     return s
 
 
