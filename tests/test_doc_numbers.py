@@ -126,7 +126,7 @@ FINENESS = (
     ("columns/structure", "SHORT STEP", "where a structure is thought to give; of a numerical derivative"),
     (
         "search/structures",
-        "RATES LIGHTLY ANGLES FEET NEAR WORTH STEPS LOGARITHMIC FINEST ROUNDS DAMPED",
+        "RATES LIGHTLY ANGLES FEET NEAR WORTH STEPS FINEST ROUNDS DAMPED",
         "of a search: where it begins, how far and how finely it goes",
     ),
     ("search/lag_form", "FINEST SETTLED", "where a search ends, and a filter's memory"),

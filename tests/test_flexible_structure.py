@@ -52,6 +52,8 @@ def test_it_may_sit_under_the_base_and_at_every_link_across_it() -> None:
     assert [p.where for p in found] == ["the base", "the link before lift", "the link before bend"]
     for p in found:
         assert p.axes @ p.axes.T == pytest.approx(np.eye(2)) and np.abs(p.axes @ p.before).max() < 1e-12
+    weightless = replace(ROBOT, chain=ROBOT.chain._replace(gravity=np.zeros(3)))
+    assert [p.where for p in places(weightless)] == [p.where for p in found[1:]]  # nothing is level there
 
 
 def test_a_pedestal_is_taken_about_both_its_axes_and_a_link_about_any_across_it(engine: Engine) -> None:

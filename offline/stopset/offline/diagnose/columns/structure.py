@@ -52,10 +52,11 @@ class Place:
 
 
 def places(robot: Robot) -> list[Place]:
-    """Two level axes under the base, and two across every link half way along."""
-    c = robot.chain
-    up = -c.gravity / max(float(np.linalg.norm(c.gravity)), 1e-12)
-    out = [Place("the base", 0, _across(up), np.zeros(3), c.p[0], up)]
+    """Two level axes under the base, where gravity says what is level, and two across every link half way along."""
+    c, out = robot.chain, list[Place]()
+    if weight := float(np.linalg.norm(c.gravity)):
+        up = -c.gravity / weight
+        out.append(Place("the base", 0, _across(up), np.zeros(3), c.p[0], up))
     for at in range(1, len(c.p)):
         if (length := float(np.linalg.norm(c.p[at]))) > SHORT:
             half = 0.5 * c.p[at]
@@ -111,6 +112,11 @@ class Giving:
         g, M = np.stack(stiff, axis=-1), mass_matrices(chain, pi, q)[:, :, at]
         moment, gravity = torques(chain, pi, q, dq, ddq)[:, at], gravity_torques(chain, pi, q)[:, at]
         return Giving(source, np.delete(M, at, axis=1), np.delete(g, at, axis=1), M[:, at], g[:, at], moment, gravity)
+
+    @property
+    def stands(self) -> bool:
+        """Whether anything stands on it: what is described without inertia cannot swing."""
+        return bool(np.all(np.einsum("naa->na", self.own_mass) > 0.0))
 
     @property
     def inertia(self) -> float:

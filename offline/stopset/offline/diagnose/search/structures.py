@@ -164,7 +164,7 @@ def _coarse(view: Hypothesis, place: Place, hyper: Hyper) -> Sitting | None:
     for angle, foot in product(ANGLES if place.crossing else (0.0,), FEET if place.standing else (0.0,)):
         springs = [Spring(rate, LIGHTLY, angle, foot) for rate in RATES]
         giving = at(springs[0])
-        if giving.inertia > 0.0:
+        if giving.stands:
             moving = np.stack([giving.columns(s) for s in springs], axis=-1)
             scores = _scores(view, moving, hyper)
             top = int(np.argmax(scores))
