@@ -45,6 +45,7 @@ def main() -> None:
         ok = right(label, found.verdict, [(r.effect, r.joints) for r in found.ranked])
         count.setdefault(f"{label['verdict']}, {len(label['effects'])} hidden", []).append(ok)
         words = ", ".join(r.label for r in found.ranked) or "-"
+        words += "" if found.structure is None else f"; a structure at {' or '.join(found.structure.may_sit_at)}"
         print(f"{name}: {'right' if ok else 'WRONG'}: {found.verdict} {words}, {time.process_time() - start:.1f} s", flush=True)
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)

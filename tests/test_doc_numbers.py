@@ -123,8 +123,12 @@ FINENESS = (
     ("rows/rows", "DEPENDENT", "rounding"),
     ("rows/sampling", "ROUNDING", "rounding"),
     ("search/refine", "FINEST_LAG", "where a search ends"),
-    ("columns/structure", "FOOT SHORT STEP", "where a structure is thought to give; of a numerical derivative"),
-    ("search/structures", "RATES FINER LIGHTLY", "start values of a search"),
+    ("columns/structure", "SHORT STEP", "where a structure is thought to give; of a numerical derivative"),
+    (
+        "search/structures",
+        "RATES LIGHTLY ANGLES FEET NEAR WORTH STEPS FINEST ROUNDS DAMPED",
+        "of a search: where it begins, how far and how finely it goes",
+    ),
     ("search/lag_form", "FINEST SETTLED", "where a search ends, and a filter's memory"),
     ("search/settled", "PARTS", "how finely the slope of a torque over the position is looked at"),
     (

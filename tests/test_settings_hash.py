@@ -54,6 +54,8 @@ LEFT_OUT = (
     ("stopset.offline.campaign.map_reduce", "PER_WORKER CONNECT FEWEST A B", BUDGET),
     ("stopset.offline.campaign.trials", "MOST", BUDGET),
     ("stopset.offline.campaign.hold_out", "OTHER_MOTIONS OTHER_REPETITIONS", WORDS),
+    ("stopset.offline.diagnose.search.structures", "ADVICE", WORDS),
+    ("stopset.offline.diagnose.search.structures", "LOGARITHMIC", CODES),
     ("stopset.offline.abstraction.metrics", "TOGETHER", BUDGET),
     ("stopset.offline.conform.corners", "Q_LO V_LO Q_HI V_HI NOISE_LO NOISE_HI U_LO U_HI", CODES),
     ("stopset.offline.conform.guarantee", "GIVEN OTHER_MOTIONS REPETITIONS SAME_MOTION NO_REPETITION", WORDS),

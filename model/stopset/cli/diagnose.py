@@ -57,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         of = f", depends on {', '.join(u.depends_on)}" if u.depends_on else ""
         like = f"; it resembles {'; '.join(u.resembles)}" if u.resembles else ""
         say(f"unexplained at {u.joint}: {u.size:.3g} N m{of}{like}")
+    if found.structure:
+        say(found.structure.says)
     listed([str(b) for b in found.not_identifiable], "not identifiable from these motions", whole=args.all)
     if found.next_experiment:
         say(f"next: {found.next_experiment}")

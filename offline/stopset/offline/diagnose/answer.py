@@ -12,6 +12,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.changes import Change
 from stopset.offline.diagnose.explain.identifiable import Blind
 from stopset.offline.diagnose.explain.partial import Partial
+from stopset.offline.diagnose.search.structures import Structure
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +108,7 @@ class Diagnosis:
     taken_out: tuple[Mapping[str, Any], ...] = ()  # by identification, before anything was asked: see `Nominal.taken_out`
     alternatives: tuple[Ranked, ...] = ()  # of ``ranked`` those that are the plainest of several that look alike here
     unexplained: tuple[Unexplained, ...] = ()  # what is left of each joint's torque, where that is more than the sensors' noise
+    structure: Structure | None = None  # one that gives, which may be the unknown cause
 
     def _repr_html_(self) -> str:
         rows = [(r.label, r.error_before, r.error_after, r.unit, r.says) for r in self.ranked]
@@ -164,6 +166,7 @@ class Diagnosis:
                 }
                 for u in self.unexplained
             ],
+            "structure": None if self.structure is None else self.structure.as_json(),
             "changed": [c.says for c in self.changed],
             "taken_out": [dict(x) for x in self.taken_out],
             "next_experiment": self.next_experiment,

@@ -70,6 +70,9 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         new = ~engine.as_before
         before = [np.array(c.excess_before)[new] for c in _refused(x)]
         verdict = "unknown" if any(np.max(e, initial=0.0) > limit.SENSORS for e in before) else "none"
+    structure = x.structure() if verdict == "unknown" or x.structures else None
+    if structure is not None:  # what is claimed beside a gear that is none is a part of the same swing
+        verdict = "unknown"
     loose = tuple(r for r in x.plays.beside([r.label for r in ranked]) if names is None or r.effect in names)
     blind = (
         *blind_spots(found.now, found.hyper, [s.candidate for s in found.left], names),
@@ -99,6 +102,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
         not_identifiable=blind,
         next_experiment=next_experiment,
         unexplained=_unexplained(x, verdict),
+        structure=None if loose else structure,
         excess={j: round(float(x), 3) for j, x in zip(joints, found.excess, strict=True)},
         friction_scatter=dict(zip(joints, found.hyper.sigma, strict=True)),
         trials=len(engine.data.trials),
@@ -214,6 +218,7 @@ def _with_changes(x: Examination, found: Diagnosis, changed: Sequence[Change]) -
     todo = " ".join(x for x in (*dict.fromkeys(r.telling for r in undecided), SINCE) if x)
     answer = replace(
         found, verdict="changed", ranked=ranked, alternatives=undecided, unexplained=left, next_experiment=todo, changed=tuple(changed),
+        structure=None,
     )  # fmt: skip
     if found.verdict != "unknown":
         return answer

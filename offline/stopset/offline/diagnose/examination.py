@@ -33,7 +33,7 @@ from stopset.offline.diagnose.search.refine import shortest_lag
 from stopset.offline.diagnose.search.search import Claim, Found, label, search, with_own_law
 from stopset.offline.diagnose.search.settle import within_reach
 from stopset.offline.diagnose.search.settled import added
-from stopset.offline.diagnose.search.structures import may_sit_at
+from stopset.offline.diagnose.search.structures import Structure, explaining, of_what_is_left
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -56,6 +56,7 @@ class Examination:
     left: Left
     ranked: tuple[Ranked, ...]
     plays: Plays  # what angles behind the gears say, beside all torque
+    structures: Mapping[int, Structure]  # by place among the claims, what explains more than the gear that is claimed
     refused: tuple[Ranked, ...] = ()  # what gave way to the model's own law at its joint, and why
 
     @property
@@ -74,6 +75,17 @@ class Examination:
     def steps(self, claims: Sequence[int]) -> list[Step]:
         """Held-out errors before and after each of ``claims`` in turn, the others left out."""
         return _steps(self.found, self.already, [self.found.claims[k] for k in claims])
+
+    def structure(self) -> Structure | None:
+        """The structure that explains most of what the model leaves without any claim, and more than the best of them; None: none does.
+
+        Beside what is claimed, much of little may be left: that takes no name away.
+        """
+        if len(self.found.claims) == 1 and self.structures:  # asked already, beside the same model
+            found = self.structures[0]
+            return found if found.telling else None
+        hyper, _ = self.already.fit()
+        return of_what_is_left(self.already, max((c.score for c in self.found.claims), default=0.0), hyper)
 
 
 def examine(
@@ -97,7 +109,9 @@ def examine(
     left = left_of(found)
     # what bends a gear is the torque of the arm as it is, with what it carries and all: a description may be any times off
     as_fitted = robot.with_parameters(robot.pi + engine.body(left.theta).reshape(robot.pi.shape))
-    return Examination(already, found, left, _ranked(found, already, left), plays(as_fitted, recordings))
+    structures = {k: s for k, c in enumerate(found.claims) if (s := _structure(found, c)) is not None}
+    ranked = _ranked(found, already, left, structures)
+    return Examination(already, found, left, ranked, plays(as_fitted, recordings), structures)
 
 
 def refusing(x: Examination, refused: Mapping[str, str]) -> Examination:
@@ -111,7 +125,9 @@ def refusing(x: Examination, refused: Mapping[str, str]) -> Examination:
             found, before = with_own_law(found, k), found
             refusals += [replace(r, objection=refused[r.label])] if found is not before else []
     left = x.left if found is x.found else left_of(found)
-    return replace(x, found=found, left=left, ranked=_ranked(found, x.already, left, refused), refused=tuple(refusals))
+    return replace(
+        x, found=found, left=left, ranked=_ranked(found, x.already, left, x.structures, refused), refused=tuple(refusals)
+    )
 
 
 def excess_left(model: Model, recordings: Recordings) -> Array:
@@ -179,7 +195,11 @@ def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int
 
 
 def _ranked(
-    found: Found, already: Hypothesis, left: Left, refused: Mapping[str, str] = MappingProxyType({})
+    found: Found,
+    already: Hypothesis,
+    left: Left,
+    structures: Mapping[int, Structure],
+    refused: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Ranked, ...]:
     """Every claim with its numbers, one entry each; errors before and after count those that are findings only, in this order."""
     engine = already.engine
@@ -193,14 +213,14 @@ def _ranked(
     by_fit = (
         fitted_deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims]) if carries else deviation
     )
-    for claim, sure in zip(found.claims, by_fit, strict=True):
+    for k, (claim, sure) in enumerate(zip(found.claims, by_fit, strict=True)):
         mine = parameters(claim.scored, sure, scale)
         values = {k: p.value for k, p in mine.items()}
         c = claim.scored.candidate
         rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
         shortest = shortest_lag(engine, c.joints[0]) if BY_ROWS in sure else 0.0
         why = objection(c.effect, values, sure, seconds, rotor, shortest) or _of_another_joint(engine, claim)
-        why = _of_the_structure(found, claim) or why or _of_a_gears_form(found, claim)
+        why = _of_the_structure(structures.get(k)) or why or _of_a_gears_form(found, claim)
         why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
         why = why or _of_single_joints(found, left, claim)
         objections.append(why or _of_the_load(found, left, misfit, claim) or refused.get(label(engine, claim.scored), ""))
@@ -321,19 +341,18 @@ def _of_another_joint(engine: Engine, claim: Claim) -> str:
     return f"a soft gear at {which} explains nearly as much, and both swing faster than was looked for" if others else ""
 
 
-def _of_the_structure(found: Found, claim: Claim) -> str:
-    """Why a gear is no finding: what holds the arm, or a link of it, explains more if it gives."""
+def _structure(found: Found, claim: Claim) -> Structure | None:
+    """What explains more than a gear that is claimed, if what holds the arm, or a link of it, gives."""
     c = claim.scored.candidate
     if c.effect.role != "swing":
-        return ""
+        return None
     base = found.now.without(c.key)
-    says = found.now.evidence(found.hyper) - base.evidence(base.fit(found.hyper)[0])
-    where = may_sit_at(base, c, says, found.hyper)
-    return (
-        f"a flexible structure explains more: a pedestal that rocks or a link that bends (it may sit at {' or at '.join(where)})"
-        if where
-        else ""
-    )
+    return explaining(base, found.now.evidence(found.hyper) - base.evidence(base.fit(found.hyper)[0]), found.hyper)
+
+
+def _of_the_structure(structure: Structure | None) -> str:
+    """Why a gear is no finding where a ``structure`` explains more."""
+    return "" if structure is None else f"a flexible structure explains more: {structure.where}"
 
 
 def _of_a_gears_form(found: Found, claim: Claim) -> str:

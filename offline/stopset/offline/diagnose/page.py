@@ -56,6 +56,8 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
     if found.depends_on:
         out.heading("What is left depends on")
         out.text(", ".join(found.depends_on))
+    if found.structure:
+        out.text(f"{found.structure.says[0].upper()}{found.structure.says[1:]}.")
     if found.excess:
         with out.fold("What is left at each joint"):
             out.table(

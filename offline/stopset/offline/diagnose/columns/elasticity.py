@@ -92,8 +92,8 @@ def driven(
     rest, lead = source.begins(gravity)
     M, g = np.ascontiguousarray(M), np.ascontiguousarray(g)
     filtered = _Filter(M, g, K, D, d.step * d.kernel.dt, source.first, rest, lead)
-    quiet = calm(np.ascontiguousarray(torque), source.first)
-    x, _, ddx = filtered(quiet, *filtered.at_rest(quiet))
+    torque = np.ascontiguousarray(torque)
+    x, _, ddx = filtered(torque, *filtered.at_rest(torque))
     return x, ddx
 
 
