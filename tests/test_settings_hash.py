@@ -77,6 +77,7 @@ LEFT_OUT = (
     ("stopset.offline.diagnose.standing", "MOVE USUAL_TORQUE", "of an arm that does not move no model is made"),
     ("stopset.offline.diagnose.evidence.engine", "CACHED RECENT", BUDGET),
     ("stopset.offline.diagnose.evidence.baseline", "DESCRIBED", WORDS),
+    ("stopset.offline.diagnose.evidence.uncertainty", "BY_ROWS", CODES),
     ("stopset.offline.diagnose.explain.identifiable",
      "LOADS UNRECORDED EVEN STILL UNLOADED TRACELESS IMITATED NOISE REMEDIES", WORDS),
     ("stopset.offline.diagnose.explain.partial", "POINTS", SHOWN),
