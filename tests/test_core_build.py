@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import timeit
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -52,16 +53,21 @@ def test_flags_keep_the_order_of_operations() -> None:
     assert not [f for f in build.FLAGS if "fast" in f or "march" in f or "unsafe" in f or "associative" in f]
 
 
-def test_a_call_costs_less_than_a_microsecond() -> None:
-    """With the pointers at hand, as the monitor has them; the best of several runs, for the machine may be busy."""
+def test_a_call_costs_no_more_than_three_of_numpys_smallest() -> None:
+    """With the pointers at hand, as the monitor has them: less than a microsecond where numpy's takes half of one. Both in one run, the best of
+    several, for machines differ and may be busy."""
     from stopset.offline.description import load_robot
     from stopset.robot.rigid import arm_struct
 
     arm = load_robot("lwa4p")
     struct = arm_struct(arm.chain, arm.pi)
     none = view(np.zeros(0))
-    call = lib.stopset_gravity_torques
-    assert min(timeit.repeat(lambda: call(struct, 0, none, none), number=2000, repeat=20)) / 2000 < 1e-6
+    call, x = lib.stopset_gravity_torques, np.zeros(4)
+
+    def cost(one: Callable[[], object]) -> float:
+        return min(timeit.repeat(one, number=2000, repeat=20))
+
+    assert cost(lambda: call(struct, 0, none, none)) < 3.0 * cost(lambda: np.add(x, x, x))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="ziglang is not installed")
