@@ -76,7 +76,7 @@ class Rows(NamedTuple):
 def rows_left(model: Model | TorqueModel, r: Recording, *, filtered: bool = False) -> Iterator[Rows]:
     """`left_over` of a recording, low-passed as identification fits it, motion by motion; ``filtered``: what laws say, too.
 
-    A ripple of 10 Hz is not in the torque behind that filter.
+    A ripple of 10 Hz is not in the torque behind that filter, and a Stribeck peak at a reversal is beside it, too.
     """
     for m in motions(r, Preprocessing()):
         k = m.retained
@@ -90,11 +90,11 @@ def rows_left(model: Model | TorqueModel, r: Recording, *, filtered: bool = Fals
         yield Rows(q, dq, ddq, np.where(m.moving[k], left, np.nan), derivative(m.tau, m.period)[k])
 
 
-def rms_left(model: Model | TorqueModel, recordings: Sequence[Recording]) -> Array:
+def rms_left(model: Model | TorqueModel, recordings: Sequence[Recording], *, filtered: bool = False) -> Array:
     """(n,) [N m] root mean square of `rows_left`; nan for a joint that never moves."""
     total, count = np.zeros(model.robot.n), np.zeros(model.robot.n)
     for r in recordings:
-        for rows in rows_left(model, r) if r.phase != "static" else ():
+        for rows in rows_left(model, r, filtered=filtered) if r.phase != "static" else ():
             total += np.nansum(rows.left**2, axis=0)
             count += np.isfinite(rows.left).sum(axis=0)
     return np.asarray(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan)))

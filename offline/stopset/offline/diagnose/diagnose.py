@@ -13,7 +13,7 @@ from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.against_model import examined, given_by_state
 from stopset.offline.diagnose.answer import Diagnosis, Parameter, Ranked, Unexplained
-from stopset.offline.diagnose.as_added import refused_alone, takes_a_place
+from stopset.offline.diagnose.as_added import alone, in_question
 from stopset.offline.diagnose.changes import Change, changes
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.priors import Beforehand, Known
@@ -171,9 +171,9 @@ def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Pr
     while True:
         named = [r for r in x.ranked if not r.objection]
         for r in named:
-            if r.label not in asked and takes_a_place(model, recordings.meta, r.fitted):
+            if r.label not in asked and in_question(model, recordings.meta, [r.label]):
                 progress(f"what the model would leave of these recordings with {r.label}")
-                asked[r.label] = refused_alone(model, campaign, r.fitted)
+                asked[r.label] = alone(model, campaign, r.fitted).why
         refused = {name: why for name, why in asked.items() if why}
         if not any(r.label in refused for r in named):
             return x

@@ -21,7 +21,7 @@ from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Ranked
-from stopset.offline.diagnose.as_added import levelled, raised, raised_of_own, retained_effects, retained_elsewhere
+from stopset.offline.diagnose.as_added import Alone, alone, levelled, raised, retained_effects, retained_elsewhere
 from stopset.offline.diagnose.compensated import JointStep, OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import Estimate, estimates
 from stopset.offline.diagnose.evidence.baseline import own
@@ -175,23 +175,37 @@ def by_evidence(
     def around(added: Sequence[Estimate]) -> Settings:
         return retained_elsewhere(settings, chosen, [e.fitted for e in added], judge.robot) if same else settings
 
-    rubs = any(levelled(n, judge.robot) for n in names)
-    plain = dict(first) if first and not (rubs and answer.found) else judge.simulated(around([]), retained)
-    found, refused = list(answer.found), dict[str, str]()
+    rubbing = [n for n in names if levelled(n, judge.robot)]
+    plain = dict(first) if first and not (rubbing and answer.found) else judge.simulated(around([]), retained)
+    known = {(): (around([]), retained, plain)}
+
+    def beside(added: Sequence[Estimate]) -> tuple[Settings, tuple[Fitted, ...], dict[str, float]]:
+        """What to identify a revision with, its effects, and its errors where what judges is not seen."""
+        labels = tuple(e.fitted.label for e in added)
+        if labels not in known:
+            wanted = [n for n in names if any(e.name == n for e in added)]
+            more, taken = replace(around(added), effects=(*settings.effects, *wanted)), (*retained, *(e.fitted for e in added))
+            known[labels] = more, taken, judge.simulated(more, taken)
+        return known[labels]
+
+    found, refused, asked = list(answer.found), dict[str, str](), dict[str, Alone]()
+    # what judges leaves the laws in question that identification chose; the model without friction that is added has them
+    _, _, without = beside([e for e in found if e.name not in rubbing])
     while True:
-        wanted = [n for n in names if any(e.name == n for e in found)]
-        more = replace(around(found), effects=(*settings.effects, *wanted))
-        taken = (*retained, *(e.fitted for e in found))
-        after = judge.simulated(more, taken) if found else plain
-        errors = _torque(plain, joints), _torque(after, joints)
-        # what judges leaves the laws in question that identification chose; the model without what is added has them
-        worse = {} if force else raised(judge.robot, wanted, errors, chosen, "on held-out data")
-        if not worse and not force:
-            worse, more = raised_of_own(judge.model, judge.campaign, more, taken, wanted)
+        more, taken, after = beside(found)
+        laws = [] if force else [e for e in found if e.name in rubbing]
+        errors = _torque(without, joints), _torque(after, joints)
+        worse = raised(judge.robot, [e.name for e in laws], errors, chosen, "on held-out data")
+        for e in () if worse else laws:
+            label = e.fitted.label
+            asked[label] = asked.get(label) or alone(judge.model, judge.campaign, e.fitted)
+            worse |= {e.name: asked[label].why} if asked[label].why else {}
         if not worse:
             break
         refused |= worse
         found = [e for e in found if e.name not in worse]
+    if any(asked[e.fitted.label].among is not None for e in laws):
+        more = replace(more, friction_among=chosen)
     start = _with_torque(first or plain, joints, answer.before)
     judged = []
     for name in names:

@@ -21,7 +21,7 @@ from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.as_added import raised_of_own, retained_effects
+from stopset.offline.diagnose.as_added import alone, retained_effects
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.identify.pipeline import Identification, Keep, identified
 from stopset.offline.inspect.gate import check_files, check_trials
@@ -153,8 +153,9 @@ def _revision(
         found, refused = revision(settings)
         if not refused.why and not force:
             names = [j.name for j in verdict.judged if not j.why]
-            worse, _ = raised_of_own(model, campaign, settings, verdict.known, names)
-            refused = next((Refused(name, why) for name, why in worse.items()), refused)
+            laws = [f for f in verdict.known if f.label in names or f.effect in names]
+            worse = {f.label: alone(model, campaign, f, chosen).why for f in laws}
+            refused = next((Refused(name, why) for name, why in worse.items() if why), refused)
     return found, without, refused
 
 
