@@ -51,7 +51,9 @@ def test_what_add_refuses_is_not_named_and_is_told_in_its_words(shared_data) -> 
     revised = add(model, [name], campaign_of(robot, [file]))
     assert revised.model is None and told == f"{name}: {revised.judged[0].why}"
     assert f"load_coulomb:{ELBOW} there already" in told
-    beside = add(model, ["payload", name], campaign_of(robot, [file]))  # with a load it was held against a model without: 1.6 and 4.15 N m
+    beside = add(
+        model, ["payload", name], campaign_of(robot, [file])
+    )  # with a load it was held against a model without: 1.6 and 4.15 N m
     assert {j.name: j.why for j in beside.judged} == {"payload": "", name: revised.judged[0].why}
 
 

@@ -12,9 +12,11 @@ from typing import Any
 import pytest
 
 from stopset.artifact import load_model, save_model
+from stopset.effects import Fitted
 from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.survey import survey
 from stopset.offline.diagnose import thresholds as limit
+from stopset.offline.diagnose.as_added import Alone
 from stopset.offline.diagnose.question import common_lags, question
 from stopset.offline.nominal.nominal import LOW_PASS
 from stopset.offline.revise import revise
@@ -103,6 +105,14 @@ def test_what_the_evidence_chooses_beside_an_effect_and_widens_the_sets_is_left_
     found, _, refused = revise._revision(model, SimpleNamespace(meta=None), verdict, silent, force=False, keep=None)  # type: ignore[arg-type]
     assert not refused.why and found.model.provenance["chosen"] == ["load_coulomb:a"]
     assert [s.friction_among for s in asked] == ([None, ("load_coulomb:a",)] if grows else [None])
+    last = asked[-1]
+    # a law that leaves more beside these laws only is refused as it was asked for, wherever it was found: it is asked for no more
+    monkeypatch.setattr(revise, "alone", lambda model, campaign, f, among: Alone(f"{f.label} leaves more", among))
+    model.effects = ()
+    law = Fitted("stribeck", "a", {"F_s": 1.0, "v_s": 0.1}, {})
+    taken: Any = SimpleNamespace(judged=(SimpleNamespace(name="stribeck", why=""),), settings=Settings(), known=(law,))
+    _, _, refused = revise._revision(model, SimpleNamespace(meta=None), taken, silent, force=False, keep=None)  # type: ignore[arg-type]
+    assert (refused.name, refused.why) == (("stribeck", "stribeck:a leaves more") if grows else ("", ""))
     # what decided stands in the file, and comes back as it was
-    stored: Any = SimpleNamespace(provenance={"settings": json.loads(json.dumps(asdict(asked[-1])))})
-    assert settings_of(stored) == asked[-1]
+    stored: Any = SimpleNamespace(provenance={"settings": json.loads(json.dumps(asdict(last)))})
+    assert settings_of(stored) == last

@@ -34,6 +34,9 @@ from stopset.robot import Robot
 
 HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
 SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
+_Tried = tuple[
+    Settings, tuple[Fitted, ...], dict[str, float]
+]  # what to identify a revision with, its effects, its held-out errors
 NO_TRACE = "the data show no trace of it, so there are no numbers to add"
 
 
@@ -177,10 +180,9 @@ def by_evidence(
 
     rubbing = [n for n in names if levelled(n, judge.robot)]
     plain = dict(first) if first and not (rubbing and answer.found) else judge.simulated(around([]), retained)
-    known = {(): (around([]), retained, plain)}
+    known: dict[tuple[str, ...], _Tried] = {(): (around([]), retained, plain)}
 
-    def beside(added: Sequence[Estimate]) -> tuple[Settings, tuple[Fitted, ...], dict[str, float]]:
-        """What to identify a revision with, its effects, and its errors where what judges is not seen."""
+    def beside(added: Sequence[Estimate]) -> _Tried:
         labels = tuple(e.fitted.label for e in added)
         if labels not in known:
             wanted = [n for n in names if any(e.name == n for e in added)]

@@ -7,7 +7,7 @@ with the numbers, unless forced; so is a revision whose torque sets are wider th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -152,11 +152,17 @@ def _revision(
         settings = replace(verdict.settings, friction_among=chosen)
         found, refused = revision(settings)
         if not refused.why and not force:
-            names = [j.name for j in verdict.judged if not j.why]
-            laws = [f for f in verdict.known if f.label in names or f.effect in names]
-            worse = {f.label: alone(model, campaign, f, chosen).why for f in laws}
-            refused = next((Refused(name, why) for name, why in worse.items() if why), refused)
+            refused = next(_refused_alone(model, campaign, verdict, chosen), refused)
     return found, without, refused
+
+
+def _refused_alone(model: Model, campaign: Campaign, verdict: Judgement, chosen: tuple[str, ...]) -> Iterator[Refused]:
+    """Each effect that was taken, as it was asked for, of which a law leaves more of the model's own recordings beside laws ``chosen`` only."""
+    for j in verdict.judged:
+        for f in verdict.known if not j.why else ():
+            new = j.name in (f.label, f.effect) and f.label not in {x.label for x in model.effects}
+            if new and (why := alone(model, campaign, f, chosen).why):
+                yield Refused(j.name, why)
 
 
 def _figures(model: Model, without: Model | None) -> dict[str, float]:
