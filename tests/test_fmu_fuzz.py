@@ -58,7 +58,8 @@ SOURCES = ("fmu_fuzz2.c", "fmu_fuzz.c")  # of FMI 2 and 3, which a unit's source
 
 def compiled(command: list[str], unit: str, sources: Path, kept: Path) -> Path:
     """The object of a unit of ``sources``; one that is the same after the preprocessor, as the core is for all models, is compiled once."""
-    text = subprocess.run([*command, "-E", unit], cwd=sources, check=True, timeout=600, capture_output=True).stdout
+    whole = [*command, "-E", "-fno-working-directory", unit]  # where it lies is no difference
+    text = subprocess.run(whole, cwd=sources, check=True, timeout=600, capture_output=True).stdout
     to = kept / f"{hashlib.sha256(repr(command).encode() + text).hexdigest()}.o"
     if not to.exists():
         own = to.with_suffix(f".{os.getpid()}.o")  # other workers compile, too
