@@ -212,7 +212,7 @@ class Effect:
 
         Raises `EffectError` if the law does not give one column per term.
         """
-        out = tuple(self.law(s, self.shape_values(shapes)))
+        out = tuple(self.law(s, self.shape_values(shapes) if self.shapes else {}))
         if len(out) != len(self.terms):
             raise EffectError(f"effect {self.name}: its law gives {len(out)} columns for {len(self.terms)} terms; mend it")
         return out

@@ -1,4 +1,4 @@
-"""The search over recordings that move, and its claims with numbers, errors and doubts."""
+"""The search over recordings that move, and its claims with numbers, errors and objections."""
 
 from __future__ import annotations
 
@@ -13,26 +13,22 @@ from stopset.effects import Fitted, get
 from stopset.errors import EffectError
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.alike import alike
-from stopset.offline.diagnose.answer import Parameter, Ranked
-from stopset.offline.diagnose.columns.laws import MOVING, TRANSMITTED
+from stopset.offline.diagnose.answer import Ranked
 from stopset.offline.diagnose.evidence.baseline import of_model
-from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hypothesis
 from stopset.offline.diagnose.evidence.priors import Beforehand
-from stopset.offline.diagnose.evidence.uncertainty import BY_ROWS, deviations, drives_scale, fitted_deviations
-from stopset.offline.diagnose.evidence.weighing import Misfit, joint_shares, weighed
-from stopset.offline.diagnose.explain.objection import objection, within
+from stopset.offline.diagnose.evidence.uncertainty import deviations, drives_scale, fitted_deviations
+from stopset.offline.diagnose.explain.objection import within
 from stopset.offline.diagnose.explain.partial import partial
-from stopset.offline.diagnose.load import joints_disagree, of_a_body, says
+from stopset.offline.diagnose.load import of_a_body, says
+from stopset.offline.diagnose.numbers import by_all_joints, by_gravity, parameters
+from stopset.offline.diagnose.objections import objections
 from stopset.offline.diagnose.plays import Plays, plays
-from stopset.offline.diagnose.remainder import Left, left_of, shakes
-from stopset.offline.diagnose.rows.prepare import ROW_STEP
+from stopset.offline.diagnose.remainder import Left, left_of
 from stopset.offline.diagnose.search.predicts import Step, step, too_little
-from stopset.offline.diagnose.search.refine import shortest_lag
-from stopset.offline.diagnose.search.search import Claim, Found, label, search, with_own_law
-from stopset.offline.diagnose.search.settle import within_reach
-from stopset.offline.diagnose.search.settled import added
+from stopset.offline.diagnose.search.search import Claim, Found, search, with_own_law
 from stopset.offline.diagnose.search.structures import Structure, explaining, of_what_is_left
 from stopset.progress import Progress, silent
 from stopset.recording import Recordings
@@ -171,7 +167,7 @@ def _steps(found: Found, already: Hypothesis, claims: Sequence[Claim]) -> list[S
     return out
 
 
-def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int, Step]:
+def _sound(found: Found, already: Hypothesis, against: list[str]) -> dict[int, Step]:
     """The step of each claim to be named, by its place; a claim that lowers the error too little beside those before it, now that all
     are known, gets that as its objection.
 
@@ -180,15 +176,15 @@ def _sound(found: Found, already: Hypothesis, objections: list[str]) -> dict[int
     """
     out, before, earlier = dict[int, Step](), found.before, list[Candidate]()
     effects = [claim.scored.candidate.effect for claim in found.claims]
-    imitated = {e.name for e, why in zip(effects, objections, strict=True) if why and e.absorbed}
+    imitated = {e.name for e, why in zip(effects, against, strict=True) if why and e.absorbed}
     for k, claim in enumerate(found.claims):
-        if objections[k] or len(out) == limit.HANDFUL:
+        if against[k] or len(out) == limit.HANDFUL:
             continue
         c = claim.scored.candidate
         taken = step(already, c, before, found.hyper, earlier, found.excess)
         why = taken.why or (too_little(taken, c, earlier, found.excess) if c.effect.name in imitated else "")
         if why:
-            objections[k] = why
+            against[k] = why
             continue
         out[k], already, before, earlier = taken, already.plus(c), taken.after, [*earlier, c]
     return out
@@ -203,142 +199,42 @@ def _ranked(
 ) -> tuple[Ranked, ...]:
     """Every claim with its numbers, one entry each; errors before and after count those that are findings only, in this order."""
     engine = already.engine
-    joints, seconds = engine.data.joints, float(len(engine.data.t_fine) * engine.data.kernel.dt)
+    joints = engine.data.joints
     deviation = deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims])
-    by_gravity = _by_gravity(found, left)
+    transmitted = by_gravity(found, left)
     scale = drives_scale(found.now, left.theta)
     numbers = [parameters(c.scored, d, scale) for c, d in zip(found.claims, deviation, strict=True)]
-    objections, misfit = [], Misfit.of(found.now, left.hyper, left.theta)
     carries = not engine.modelled and any(c.scored.candidate.effect.carried for c in found.claims)
     by_fit = (
         fitted_deviations(found.now, left.hyper, left.theta, [c.scored.candidate for c in found.claims]) if carries else deviation
     )
-    for k, (claim, sure) in enumerate(zip(found.claims, by_fit, strict=True)):
-        mine = parameters(claim.scored, sure, scale)
-        values = {k: p.value for k, p in mine.items()}
-        c = claim.scored.candidate
-        rotor = float(engine.source.robot.rotor[c.joints[0]]) if c.joints else 0.0
-        shortest = shortest_lag(engine, c.joints[0]) if BY_ROWS in sure else 0.0
-        why = objection(c.effect, values, sure, seconds, rotor, shortest) or _of_another_joint(engine, claim)
-        why = _of_the_structure(structures.get(k)) or why or _of_a_gears_form(found, claim)
-        why = why or _of_any_position(engine, claim) or _between_rows(claim) or _as_before(found, claim)
-        why = why or _of_single_joints(found, left, claim)
-        objections.append(why or _of_the_load(found, left, misfit, claim) or refused.get(label(engine, claim.scored), ""))
-    steps = _sound(found, already, objections)
+    against = objections(found, left, by_fit, structures, refused)
+    steps = _sound(found, already, against)
     out, error = [], found.before
     for k, claim in enumerate(found.claims):
         c = claim.scored.candidate
         taken = steps.get(k, Step(error, error, "", c.joints))
         # whether there is a load is no matter of how sure its mass is
-        own, disagree = _by_all_joints(found, left, claim, numbers[k])
-        own = by_gravity.get(k, own)
+        own, disagree = by_all_joints(found, left, claim, numbers[k])
+        own = transmitted.get(k, own)
         fitted = {x: replace(p, value=within(c.effect, x, p.value)) for x, p in own.items()}
-        given = dict(fitted if objections[k] else of_a_body(c.effect, fitted))
-        why = objections[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
-        surplus = bool(why) and not objections[k]
+        given = dict(fitted if against[k] else of_a_body(c.effect, fitted))
+        why = against[k] or ("" if k in steps else f"{limit.HANDFUL} effects are named already: the rest is told in sum")
+        surplus = bool(why) and not against[k]
         lowered = 1.0 - float(taken.stated[1][taken.joint] / taken.stated[0][taken.joint])
         same = alike(engine, claim)
         words = says(c.effect, fitted, given, described=not engine.modelled, lowered=lowered) + disagree
-        words += WHILE_MOVING if k in by_gravity else ""
+        words += WHILE_MOVING if k in transmitted else ""
         out.append(
             Ranked(
                 c.effect.name, tuple(joints[j] for j in c.joints), claim.score, float(taken.stated[0][taken.joint]),
                 float(taken.stated[1][taken.joint]), given, c.effect.look_at, words + (INNER if taken.inner else ""),
                 points=partial(found.now, left.hyper, left.theta, c, taken.joint), objection=why, surplus=surplus, at=joints[taken.joint],
-                alternatives=same.effects, alike=same.why, telling=same.experiment, transmitted=k in by_gravity,
+                alternatives=same.effects, alike=same.why, telling=same.experiment, transmitted=k in transmitted,
             )
         )  # fmt: skip
         error = error if why else taken.after
     return tuple(out)
-
-
-def _by_gravity(found: Found, left: Left) -> dict[int, dict[str, Parameter]]:
-    """By place among the claims, the numbers of a law of all torque that a gear transmits in the form that a model has it, of gravity's."""
-    now, places = found.now, [k for k, c in enumerate(found.claims) if TRANSMITTED in c.scored.candidate.shapes]
-    forms = [added(now, replace(found.claims[k].scored.candidate, shapes={})) for k in places]
-    for c in forms:
-        now = now.instead(c).plus(added(now, replace(c, shapes={MOVING: 1.0})))
-    if not forms:
-        return {}
-    hyper, p = now.fit(left.hyper)
-    place = {column: k for k, column in enumerate(now.nuisance.tolist())}
-    thetas = [p.theta[[place[k] for k in c.cols.tolist()]] for c in forms]
-    std = deviations(now, hyper, p.theta, forms)
-    scored = [replace(found.claims[k].scored, candidate=c, theta=x) for k, c, x in zip(places, forms, thetas, strict=True)]
-    return {k: parameters(s, d) for k, s, d in zip(places, scored, std, strict=True)}
-
-
-def _of_the_load(found: Found, left: Left, misfit: Misfit | None, claim: Claim) -> str:
-    """Why a claim beside a load is no finding: what the load's own torque may be off by explains most of what it is claimed for."""
-    c = claim.scored.candidate
-    if misfit is None or c.effect.carried:
-        return ""
-    alone, beside = misfit.leaves(found.now, left.hyper, c)
-    if beside >= limit.TELLING * alone:
-        return ""
-    return (
-        f"what the load's torque may be off by at single joints explains most of it (score {max(beside, 0.0):.0f} beside that, {alone:.0f} "
-        "where the load is taken to be told exactly)"
-    )
-
-
-def _of_single_joints(found: Found, left: Left, claim: Claim) -> str:
-    """Why a law of the whole arm is no finding: that each joint has a share of its own is as sure as an effect must be that is named, and one is
-    off by twice what a law's form is ever taken to be off.
-
-    Its number is one for all joints, however it came about; of a load they may disagree by their drives (`weighed`).
-    """
-    c = claim.scored.candidate
-    if c.joints or c.effect.carried:
-        return ""
-    gain, shares = joint_shares(found.now, left.hyper, left.theta, c)
-    if gain < limit.THRESHOLD or max(map(abs, shares.values())) < limit.SURE * limit.FORMS[-1]:
-        return ""
-    each = ", ".join(
-        f"{found.now.engine.data.joints[j]} {1.0 + s:.2g}" for j, s in sorted(shares.items(), key=lambda x: -abs(x[1]))[:2]
-    )
-    return f"the joints do not agree on it (times what they say together: {each}; score {gain:.0f}): what it explains is of each by itself"
-
-
-def _by_all_joints(
-    found: Found, left: Left, claim: Claim, numbers: Mapping[str, Parameter]
-) -> tuple[Mapping[str, Parameter], str]:
-    """``numbers`` of a claim; of a load against a model those that all joints say together, each of which may be off (`weighed`), and
-    which of them do not agree, in words.
-
-    Against a description alone a fit takes such shares for masses of the links, and its interval holds how far these may be off.
-    """
-    now, c = found.now, claim.scored.candidate
-    if not (c.effect.carried and now.engine.modelled):
-        return numbers, ""
-    w = weighed(now, left.hyper, left.theta, c)
-    disagree = {now.engine.data.joints[j]: share for j, share in w.disagreeing().items()}
-    return parameters(replace(claim.scored, theta=w.theta), w.deviation), joints_disagree(disagree)
-
-
-def _as_before(found: Found, claim: Claim) -> str:
-    """Why a claim is none: the model leaves no more of the joints that it explains than it left of its own recordings.
-
-    What a model could not explain when it was identified is still there, and no change; but what is more than its own recordings held beside
-    their sensors' noise is new, however little of all that is left it is.  A gear explains what it shakes, too.
-    """
-    engine, c = found.now.engine, claim.scored.candidate
-    at = c.joints or tuple(np.flatnonzero(np.array(claim.excess_before) > np.array(claim.excess_after)).tolist())
-    at = (*at, *(j for j in range(engine.data.n) if shakes(claim, j)))
-    explained = np.array(claim.excess_before) - np.array(claim.excess_after)
-    if at and all(engine.as_before[j] and explained[j] <= engine.hidden_before[j] for j in at):
-        return "the model leaves no more there than it left of its own recordings, so it is no change since"
-    return ""
-
-
-def _of_another_joint(engine: Engine, claim: Claim) -> str:
-    """Why a gear whose link would swing faster than was looked for is no finding: another joint's explains nearly as much."""
-    c = claim.scored.candidate
-    if c.effect.role != "swing" or within_reach(engine, c):
-        return ""
-    others = [engine.data.joints[s.candidate.joints[0]] for s in claim.rivals if s.candidate.effect is c.effect]
-    which = ", ".join(dict.fromkeys(others))
-    return f"a soft gear at {which} explains nearly as much, and both swing faster than was looked for" if others else ""
 
 
 def _structure(found: Found, claim: Claim) -> Structure | None:
@@ -348,69 +244,3 @@ def _structure(found: Found, claim: Claim) -> Structure | None:
         return None
     base = found.now.without(c.key)
     return explaining(base, found.now.evidence(found.hyper) - base.evidence(base.fit(found.hyper)[0]), found.hyper)
-
-
-def _of_the_structure(structure: Structure | None) -> str:
-    """Why a gear is no finding where a ``structure`` explains more."""
-    return "" if structure is None else f"a flexible structure explains more: {structure.where}"
-
-
-def _of_a_gears_form(found: Found, claim: Claim) -> str:
-    """Why a law claimed after a gear, of a joint that this shakes, is no finding: next to what the gear took away it takes nothing.
-
-    What is left of a soft gear's swing is of its form, and a law of friction or of the position takes up a part of anything.
-    """
-    c = claim.scored.candidate
-    earlier = found.claims[: found.claims.index(claim)]
-    if len(c.joints) != 1 or c.effect.role == "swing":
-        return ""
-    (j,) = c.joints
-    gears = [k.excess_before[j] - k.excess_after[j] for k in earlier if shakes(k, j)]
-    share = (claim.excess_before[j] - claim.excess_after[j]) / sum(gears) if gears else np.inf
-    if share > limit.PATTERN_SIZE:
-        return ""
-    return f"it takes away {share:.1%} of what an elastic gear took away there: what that gear's form leaves"
-
-
-def _of_any_position(engine: Engine, claim: Claim) -> str:
-    """Why a constant torque is no finding where its joint moved so little that any law of the position is all but constant.
-
-    One that rests a radian away varies over `TRAVEL` by no more than a law's form may be off and still be as likely.
-    """
-    c = claim.scored.candidate
-    if len(c.joints) != 1 or c.effect.enters != "compensation" or "stiff" in c.effect.needs:
-        return ""
-    j = c.joints[0]
-    rows = engine.rows[j]
-    torque = rows.plain(engine.columns(c.effect, c.joints, c.shapes)[j][0] @ claim.scored.theta)
-    travel = float(np.ptp(rows.plain(engine.data.q[:, j])))
-    if travel >= limit.TRAVEL or float(np.ptp(torque)) > limit.EDGE * float(np.abs(torque).max(initial=0.0)):
-        return ""
-    return (
-        f"its joint moved by {travel:.2g} rad only: a spring, a cable pack, a gas spring and friction that differs between the directions look "
-        "alike there"
-    )
-
-
-def _between_rows(claim: Claim) -> str:
-    """Why friction that builds up over a way is no finding where every joint that moves at all has passed that way from one row to the next.
-
-    Rows then show none of its curve, and what a filter of the torque makes of a reversal looks like it.
-    """
-    c, least = claim.scored.candidate, limit.CREEP * ROW_STEP
-    travels = [c.shapes[p.symbol] for p in c.effect.shapes if p.unit == "rad" and c.effect.states]
-    if not travels or min(travels) >= least:
-        return ""
-    return f"its way of {min(travels):.2g} rad is passed from one row to the next at any speed that is asked ({least:.2g} rad)"
-
-
-def parameters(scored: Scored, deviation: Mapping[str, float], scale: float = 1.0) -> dict[str, Parameter]:
-    """Terms, then shapes, each with its standard ``deviation``; a load is weighed in true torque, the recorded one over ``scale``."""
-    c = scored.candidate
-    per = scale if c.effect.carried else 1.0
-    values = {t.symbol: (float(v) / per, t.unit) for t, v in zip(c.effect.terms, scored.theta, strict=True)}
-    values |= {p.symbol: (float(c.shapes[p.symbol]), p.unit) for p in c.effect.shapes}
-    if c.effect.enters == "input_delay" and "d0" in c.shapes:
-        symbol = c.effect.terms[0].symbol
-        values[symbol] = (float(c.shapes["d0"]), values[symbol][1])
-    return {symbol: Parameter(v, unit, deviation.get(symbol)) for symbol, (v, unit) in values.items()}

@@ -293,7 +293,7 @@ SETTLED = (
               "chosen"),
     Threshold("SURE_RISE", "scatter of the mean over held-out trials by which a claim must raise the torque error to be dropped", "",
               "chosen: two standard errors"),
-    Threshold("RISES", "share by which it must raise it besides (compensated torque)", "%",
+    Threshold("RISES", "share by which it must raise it besides (compensated torque), or friction what a model leaves, to be refused", "%",
               "chosen: what an effect must lower it by, to help"),
     Threshold("OPEN_LOOP_LOAD", "change of load below which it counts as none", "N m",
               "rounding"),

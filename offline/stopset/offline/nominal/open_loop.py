@@ -107,29 +107,32 @@ def roll_out(
     """
     N, B = batch.q.shape
     S = len(inertia)
-    J, v = inertia[:, None], np.maximum(damping, 1e-6)[:, None]
+    # whole arrays throughout, written in place: for so few numbers numpy's own work is most of a step
+    J, v = (np.tile(x[:, None], B) for x in (inertia, np.maximum(damping, 1e-6)))
     decay = np.exp(-v * batch.dt / J)
     gain = -np.expm1(-v * batch.dt / J) / v
-    q, dq = np.tile(batch.q[0], (S, 1)), np.tile(batch.dq[0], (S, 1))
+    offset, *theta = (np.tile(x[:, None], B) for x in torque.T)
+    furthest = SPEED_LIMIT * batch.dt
     Q, DQ = np.empty((N, S, B)), np.empty((N, S, B))
-    theta = [torque[:, k][:, None] for k in range(torque.shape[1])]
+    q, dq, direction = np.tile(batch.q[0], (S, 1)), np.tile(batch.dq[0], (S, 1)), np.empty((S, B))
+    load, temp, t = np.empty(B), np.empty(B), np.empty(())
+    s = Signals(q=q, dq=dq, given_direction=direction, load=load, temp=temp, warm=batch.warm, t=t)
     memories = {j: term.begun((S, B)) for j, term in enumerate(terms) if term.effect.states}
     for k in range(N):
         Q[k], DQ[k] = q, dq
-        u = batch.u[k] - theta[0]
+        u = batch.u[k] - offset
         if terms:
-            s = Signals(
-                q=q, dq=dq, given_direction=np.tanh(dq / DIRECTION_WIDTH), load=batch.load[k], temp=batch.temp[k], warm=batch.warm,
-                t=k * batch.dt,
-            )  # fmt: skip
+            np.tanh(np.divide(dq, DIRECTION_WIDTH, out=direction), out=direction)
+            load[:], temp[:], t[()] = batch.load[k], batch.temp[k], k * batch.dt
             seen = {j: replace(s, memory=tuple(m)) for j, m in memories.items()}
             columns = [c for j, term in enumerate(terms) for c in term.columns(seen.get(j, s))]
+            for value, column in zip(theta, columns, strict=True):
+                u -= value * column
             memories = {j: terms[j].stepped(now, batch.dt) for j, now in seen.items()}
-            for value, column in zip(theta[1:], columns, strict=True):
-                u = u - value * column
-        faster = np.clip(decay * dq + gain * u, -SPEED_LIMIT, SPEED_LIMIT)
-        q = q + np.clip((batch.dt * u - J * (faster - dq)) / v, -SPEED_LIMIT * batch.dt, SPEED_LIMIT * batch.dt)
-        dq = faster
+        # clipped by hand: what `np.clip` looks at first takes longer than this
+        faster = np.minimum(np.maximum(decay * dq + gain * u, -SPEED_LIMIT), SPEED_LIMIT)
+        q += np.minimum(np.maximum((batch.dt * u - J * (faster - dq)) / v, -furthest), furthest)
+        dq[:] = faster
     return Q.transpose(1, 0, 2), DQ.transpose(1, 0, 2)
 
 
