@@ -191,35 +191,40 @@ class Laws:
                 top = {"w": TOP}
                 states = [rng.uniform(max(x.lo, -TOP), min(x.hi, top.get(x.symbol, 1.0)), N) for x in effect.states]
                 self.rows.append((effect, i, partner, ends, states))
+        whose = (np.flatnonzero(np.all(batch.pi == pi, axis=(1, 2))) for pi in np.unique(batch.pi, axis=0))
+        self.alike = [(at, model.robot.with_parameters(batch.pi[at[0]]), [self._at(r[3], at) for r in self.rows]) for at in whose]
+
+    @staticmethod
+    def _at(values: dict[str, Array], at: Array) -> dict[str, Array]:
+        return {k: np.asarray(v)[at] if np.ndim(v) else v for k, v in values.items()}
 
     def __call__(self, q: Array, dq: Array, ddq: Array, braked: Array) -> tuple[Array, Array]:
         """Dry friction (N, n) [N m] and torque on the arm (N, n) at a state; memories go on by one piece."""
-        b, robot = self.batch, self.model.robot
+        b = self.batch
         dry, push = np.zeros_like(q), np.zeros_like(q)
         rubs = np.zeros((2, *q.shape))  # friction against the motion, and against the other direction
-        for pi in np.unique(b.pi, axis=0):
-            at = np.all(b.pi == pi, axis=(1, 2))
-            body = robot.with_parameters(pi)
-            signals = arm_signals(body, Samples(q[at], dq[at], temp=b.temp[at]))
-            gear = torques(body.chain, pi, q[at], dq[at], ddq[at]) + braked[at] * np.sign(dq[at])
-            for effect, i, partner, values, states in self.rows:
-                mine = {k: np.asarray(v)[at] if np.ndim(v) else v for k, v in values.items()}
-                s = replace(signals[i], warm=b.warm[at], dq_other=dq[at][:, partner], memory=tuple(x[at] for x in states))
+        ahead_of = np.where(dq == 0.0, 1.0, np.sign(dq))
+        for at, body, mine in self.alike:
+            v, temp, warm = dq[at], b.temp[at], b.warm[at]
+            signals = arm_signals(body, Samples(q[at], v, temp=temp))
+            gear = torques(body.chain, body.pi, q[at], v, ddq[at]) + braked[at] * np.sign(v)
+            for (effect, i, partner, _, states), values in zip(self.rows, mine, strict=True):
+                load = gear[:, i] if effect.role == "friction" else signals[i].load
+                s = replace(signals[i], warm=warm, dq_other=v[:, partner], memory=tuple(x[at] for x in states), load=load)
+                direction = ahead_of[at, i]
+                ahead, back = (self._torque(effect, s, w, values) for w in (direction, -direction))
                 if effect.role == "friction":
-                    s = replace(s, load=gear[:, i])
-                direction = np.where(dq[at][:, i] == 0.0, 1.0, np.sign(dq[at][:, i]))
-                ahead, back = (self._torque(effect, s, w, mine) for w in (direction, -direction))
-                if effect.role == "friction":
-                    rubs[0, at, i] += b.drift[at][:, i] * direction * ahead
-                    rubs[1, at, i] -= b.drift[at][:, i] * direction * back
+                    rubs[0, at, i] += b.drift[at, i] * direction * ahead
+                    rubs[1, at, i] -= b.drift[at, i] * direction * back
                 else:
                     dry[at, i] += 0.5 * direction * (ahead - back)
                     push[at, i] -= 0.5 * (ahead + back)
-                for x, rate in zip(states, effect.rates(replace(s, given_direction=direction), mine), strict=True):
-                    x[at] += PIECE * rate
+                if states:
+                    for x, rate in zip(states, effect.rates(replace(s, given_direction=direction), values), strict=True):
+                        x[at] += PIECE * rate
         rubs = np.maximum(rubs, 0.0)  # in no direction does the friction of a joint as a whole drive it
         dry += 0.5 * (rubs[0] + rubs[1])
-        push -= 0.5 * np.where(dq == 0.0, 1.0, np.sign(dq)) * (rubs[0] - rubs[1])
+        push -= 0.5 * ahead_of * (rubs[0] - rubs[1])
         return np.maximum(dry, 0.0), push + np.where(dry < 0.0, -dry * np.sign(dq), 0.0) * self._drives()
 
     def _drives(self) -> float:

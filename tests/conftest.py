@@ -110,6 +110,26 @@ def schunk_start(schunk_file: Path, once: Callable[[str, Callable[[], Any]], Any
 
 
 @pytest.fixture(scope="session")
+def ur10e_loaded(shared_data: Callable[[str], Path], once: Callable[[str, Callable[[], Any]], Any]) -> Callable[[str], Any]:
+    """Of a real UR10e's recording with a load, by its name: the model identified from it, and what `diagnose` says of it."""
+    from stopset.offline.description import load_robot
+    from stopset.offline.diagnose import diagnose_model
+    from stopset.offline.identify.pipeline import identify
+    from stopset.recording import read_recordings
+
+    def get(name: str) -> Any:
+        robot, file = load_robot(shared_data("ur10e/robot.urdf")), shared_data(f"ur10e/{name}.parquet")
+
+        def made() -> Any:
+            model = identify(robot, [file]).model
+            return model, diagnose_model(model, read_recordings(file, robot))[0]
+
+        return once(f"ur10e {name}", made)
+
+    return get
+
+
+@pytest.fixture(scope="session")
 def planar(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
     """A known two-joint arm: folder with URDF, recording and model file; (folder, trials, Identification)."""
     from stopset.artifact import save_model

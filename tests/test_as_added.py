@@ -18,11 +18,10 @@ from stopset.offline.campaign.source import campaign_of
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
 from stopset.offline.diagnose.as_added import alone
-from stopset.offline.identify.pipeline import identify
 from stopset.offline.revise import judge as judging
 from stopset.offline.revise.revise import add
 from stopset.progress import silent
-from stopset.recording import Recordings, read_recordings
+from stopset.recording import Recordings
 from stopset.robot.rigid import gravity_torques
 from test_hidden_effects import ARM
 
@@ -36,25 +35,25 @@ OWN, OTHER = "load_coulomb:lift", "quadratic_load:lift"
 
 @pytest.mark.shared
 @pytest.mark.slow
-def test_what_add_refuses_is_not_named_and_is_told_in_its_words(shared_data) -> None:  # type: ignore[no-untyped-def]
+def test_what_add_refuses_is_not_named_and_takes_nothing_with_it(shared_data, ur10e_loaded) -> None:  # type: ignore[no-untyped-def]
     """Of a UR10e's second load the quadratic load friction of the elbow was named, in the place of the model's own law, which leaves 0.77 N m
-    there; with the other one it is 0.85."""
-    folder: Path = shared_data("ur10e")
-    robot, file, name = load_robot(folder / "robot.urdf"), folder / "payload_b.parquet", f"quadratic_load:{ELBOW}"
-    model = identify(robot, [file]).model
-    assert f"load_coulomb:{ELBOW}" in model.provenance["chosen"]
-    found, _ = diagnose_model(model, read_recordings(file, robot))
+    there; with the other one it is 0.85.  `add` refused the load with it (R-1513), or held it against a model without: 1.6 and 4.15 N m."""
+    name, retained = f"quadratic_load:{ELBOW}", f"load_coulomb:{ELBOW}"
+    model, found = ur10e_loaded("payload_b")
+    assert retained in model.provenance["chosen"]
     assert found.verdict == "missing" and found.ranked[0].label == "payload"
     assert name not in [r.label for r in (*found.ranked, *found.claims)]
-    assert next(r for r in found.ranked if r.label == f"load_coulomb:{ELBOW}").in_model  # in its place
+    assert next(r for r in found.ranked if r.label == retained).in_model  # in its place
     (told,) = (x for u in found.unexplained for x in u.resembles if x.startswith(name))
-    revised = add(model, [name], campaign_of(robot, [file]))
-    assert revised.model is None and told == f"{name}: {revised.judged[0].why}"
-    assert f"load_coulomb:{ELBOW} there already" in told
-    beside = add(
-        model, ["payload", name], campaign_of(robot, [file])
-    )  # with a load it was held against a model without: 1.6 and 4.15 N m
-    assert {j.name: j.why for j in beside.judged} == {"payload": "", name: revised.judged[0].why}
+    assert f"{retained} there already" in told
+    folder: Path = shared_data("ur10e")
+    done = add(model, ["payload", name], campaign_of(load_robot(folder / "robot.urdf"), [folder / "payload_b.parquet"]))
+    why = {j.name: j.why for j in done.judged}
+    assert why["payload"] == "" and told == f"{name}: {why[name]}"
+    assert done.model is not None and not done.helps
+    labels = {f.label for f in done.model.effects}
+    assert "payload" in labels and retained in labels and name not in labels
+    assert done.after["sum_U_width"] <= done.before["sum_U_width"]
 
 
 @pytest.fixture(scope="module", params=[("load_coulomb", 0.08), ("quadratic_load", 0.01)])

@@ -111,12 +111,10 @@ def test_friction_grows_with_the_load_at_shoulder_and_elbow(model: Model) -> Non
 
 @pytest.mark.shared
 @pytest.mark.parametrize("file", ["payload_a", "payload_b"])
-def test_a_load_asked_of_its_own_recording_lies_in_its_interval(shared_data, file: str) -> None:  # type: ignore[no-untyped-def]
+def test_a_load_asked_of_its_own_recording_lies_in_its_interval(ur10e_loaded, file: str) -> None:  # type: ignore[no-untyped-def]
     """Without free recordings the description is all it is held against; what is usual of loads drew it to 0.9 +- 0.9 kg, and a base tilted
     by half a degree was named beside it, which took 2.6 % off the error of one joint that keeps fifty times its noise."""
-    folder: Path = shared_data("ur10e")
-    model = identify(load_robot(folder / "robot.urdf"), [folder / f"{file}.parquet"]).model
-    found = diagnose_model(model, read_recordings(folder / f"{file}.parquet"))[0]
+    _, found = ur10e_loaded(file)
     assert found.ranked[0].effect == "payload" and "base_tilt" not in [r.effect for r in found.ranked]
     payload = found.ranked[0]
     m = payload.parameters["m"]
