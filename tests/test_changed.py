@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -34,6 +35,7 @@ from stopset.offline.diagnose.remainder import accounts_for
 from stopset.offline.diagnose.search.search import Claim
 from stopset.offline.identify.asked_effects import asked_effects
 from stopset.offline.identify.pipeline import Settings, identified
+from stopset.offline.nominal.nominal import taken_out_in_words
 from stopset.progress import silent
 from stopset.recording import Recording, Recordings, read_recordings
 from stopset.simulation import Scenario, prepare
@@ -223,6 +225,9 @@ def test_a_lag_of_all_joints_that_identification_took_out_is_told_and_no_name(pr
     assert found.verdict == "none" and not found.claims
     (out,) = found.taken_out
     assert out["joint"] is None and out["value"] == pytest.approx(-0.012, abs=0.002)
+    # a `delay` of as much has the other sign: people are told which it is
+    assert re.search(r"recorded torque 1[0-4](\.\d)? \+- .* ms late \(all joints\)", taken_out_in_words(out))
+    assert taken_out_in_words({**out, "value": -out["value"]}).count("early") == 1
 
 
 @pytest.mark.parametrize("late", [-0.03, 0.04])

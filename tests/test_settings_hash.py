@@ -101,7 +101,7 @@ LEFT_OUT = (
     ("stopset.offline.nominal.fit", "NOTABLY_OFF", WORDS),
     ("stopset.offline.nominal.low_pass", "TURNS_OVER", WORDS),
     ("stopset.offline.abstraction.nominal_part", "NO_TRACE", WORDS),
-    ("stopset.offline.nominal.nominal", "LOW_PASS", WORDS),
+    ("stopset.offline.nominal.nominal", "LOW_PASS LAG", WORDS),
     ("stopset.offline.nominal.normal_equations_file", "SCHEMA ARRAYS", FORMAT),
     ("stopset.offline.nominal.unidentifiable", "PARAMETERS", WORDS),
     ("stopset.offline.stops.*", "*", "shows recorded stops"),

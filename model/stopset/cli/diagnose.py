@@ -25,6 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from stopset.effects import get
     from stopset.offline.description.older import load_model
     from stopset.offline.diagnose import diagnose_model
+    from stopset.offline.nominal.nominal import taken_out_in_words
     from stopset.recording import read_recordings
 
     check_outputs(args.json, args.report)
@@ -37,8 +38,7 @@ def run(args: argparse.Namespace) -> int:
     for note in found.notes:
         say(f"note: {note}")
     for out in found.taken_out:
-        where = out["joint"] or "all joints"
-        say(f"taken out beforehand: {out['what']}, {out['value']:.4g} +- {out['std']:.2g} {out['unit']} ({where})")
+        say(f"taken out beforehand: {taken_out_in_words(out)}")
     for rank, r in enumerate(found.ranked, start=1):
         say(f"{rank}. {r.label}: score {r.score:.0f}, {r.errors}. {r.says}")
         for symbol, p in r.parameters.items():

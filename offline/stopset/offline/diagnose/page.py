@@ -12,6 +12,7 @@ from plotly.subplots import make_subplots
 from stopset.artifact import Model
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Diagnosis, Ranked
+from stopset.offline.nominal.nominal import taken_out_in_words
 from stopset.offline.report.arm import WIDE, drawn_arm, telling_pose
 from stopset.offline.report.page import COLOURS, Page, number
 from stopset.types import Array
@@ -43,6 +44,8 @@ def page(model: Model, found: Diagnosis, against: str, data: Sequence[str | Path
             )
     for note in found.notes:
         out.text(f"{note[0].upper()}{note[1:]}.")
+    for x in found.taken_out:
+        out.text(f"Taken out beforehand: {taken_out_in_words(x)}.")
     for r in found.alternatives:
         out.text(f"{_place(r)[0].upper()}{_place(r)[1:]} may as well be {' or '.join(r.one_of[1:])}: {r.alike}.")
     for c in found.changed if found.verdict == "missing" else ():

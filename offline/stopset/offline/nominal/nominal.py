@@ -5,7 +5,7 @@ Source: Liu & Althoff (2018), sec. IV-A and appendix; Gautier & Khalil (1990) fo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,6 +30,7 @@ from stopset.words import many
 
 DELAY_TRUSTED = 0.002  # [s] a common delay with a larger standard error is applied only where it is far larger than that
 LOW_PASS = "low-pass of the recorded torque, without phase"
+LAG = "lag of the recorded torque against the motion, as its stamps were moved"
 LOAD_PASSES = 1  # fits whose gravity the next one's load is computed with
 
 
@@ -91,7 +92,7 @@ class Nominal:
         return replace(robot.with_parameters(self.pi), drives=drives)
 
     def taken_out(self) -> tuple[dict[str, Any], ...]:
-        """What was taken off the recordings before the fit: the lag of the torque, common (``joint`` None) or of single joints."""
+        """What was taken off the recordings before the fit: the lag of the torque, common (``joint`` None) or of single joints (`lag_entry`)."""
         lag, out = self.delay, list[tuple[str | None, float, float]]()
         own = [j for j in range(len(self.joints)) if self.delay_applied[j] != lag.common]
         if len(own) < len(self.joints):
@@ -122,8 +123,18 @@ class Nominal:
 
 
 def lag_entry(joint: str | None, value: float, std: float) -> dict[str, Any]:
-    """What a model file says of a lag [s] that was taken out; ``joint`` None: of all."""
-    return {"what": "lag of the recorded torque against the motion", "joint": joint, "value": value, "std": std, "unit": "s"}
+    """What a model file says of a lag that was taken out; ``joint`` None: of all.  ``value`` [s] is what the torque's stamps are moved by, below 0
+    where it is late: the other sign than a `delay` has."""
+    return {"what": LAG, "joint": joint, "value": value, "std": std, "unit": "s"}
+
+
+def taken_out_in_words(out: Mapping[str, Any]) -> str:
+    """An entry of `Nominal.taken_out` for people."""
+    where = out["joint"] or "all joints"
+    if out["unit"] != "s":
+        return f"{out['what']}, {out['value']:.4g} +- {out['std']:.2g} {out['unit']} ({where})"
+    side = "late" if out["value"] < 0.0 else "early"
+    return f"recorded torque {1e3 * abs(out['value']):.2g} +- {1e3 * out['std']:.2g} ms {side} ({where})"
 
 
 def identify_nominal(
