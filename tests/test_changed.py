@@ -226,8 +226,8 @@ def test_a_lag_of_all_joints_that_identification_took_out_is_told_and_no_name(pr
     (out,) = found.taken_out
     assert out["joint"] is None and out["value"] == pytest.approx(-0.012, abs=0.002)
     # a `delay` of as much has the other sign: people are told which it is
-    assert re.search(r"recorded torque 1[0-4](\.\d)? \+- .* ms late \(all joints\)", taken_out_in_words(out))
-    assert taken_out_in_words({**out, "value": -out["value"]}).count("early") == 1
+    assert re.search(r"recorded torque 1[0-3]\.\d \+- \d\.\d ms behind the motion \(all joints\)", taken_out_in_words(out))
+    assert "before the motion" in taken_out_in_words({**out, "value": -out["value"]})
 
 
 @pytest.mark.parametrize("late", [-0.03, 0.04])

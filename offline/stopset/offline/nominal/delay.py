@@ -199,7 +199,12 @@ def lag_in_words(lag: Delay) -> str:
     """`` ... the motion``: how late or early all joints' torque is."""
     if lag.beyond:
         return f"more than {abs(lag.beyond) * 1e3:.0f} ms {'behind' if lag.beyond < 0 else 'before'}"
-    return f"{abs(lag.common) * 1e3:.1f} +- {lag.common_std * 1e3:.1f} ms {'behind' if lag.common < 0 else 'before'}"
+    return moved_in_words(lag.common, lag.common_std)
+
+
+def moved_in_words(value: float, std: float) -> str:
+    """The same of torque whose stamps are moved by ``value`` [s], known to ``std`` [s]: below 0 it is late."""
+    return f"{abs(value) * 1e3:.1f} +- {std * 1e3:.1f} ms {'behind' if value < 0 else 'before'}"
 
 
 def own_clock(one: Delay, other: Delay, period: float) -> bool:

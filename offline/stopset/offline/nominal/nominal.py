@@ -14,7 +14,7 @@ import numpy as np
 from stopset.effects import Effect, Fitted
 from stopset.effects.selection import base
 from stopset.errors import RecordingError
-from stopset.offline.nominal.delay import OWN, Delay, estimate_delay, has_own_lag, joint_reduced, lag_weights
+from stopset.offline.nominal.delay import OWN, Delay, estimate_delay, has_own_lag, joint_reduced, lag_weights, moved_in_words
 from stopset.offline.nominal.fit import Fit, fit, leave_out
 from stopset.offline.nominal.floor import floor_of
 from stopset.offline.nominal.low_pass import KNOWN, in_words
@@ -133,8 +133,7 @@ def taken_out_in_words(out: Mapping[str, Any]) -> str:
     where = out["joint"] or "all joints"
     if out["unit"] != "s":
         return f"{out['what']}, {out['value']:.4g} +- {out['std']:.2g} {out['unit']} ({where})"
-    side = "late" if out["value"] < 0.0 else "early"
-    return f"recorded torque {1e3 * abs(out['value']):.2g} +- {1e3 * out['std']:.2g} ms {side} ({where})"
+    return f"recorded torque {moved_in_words(out['value'], out['std'])} the motion ({where})"
 
 
 def identify_nominal(
