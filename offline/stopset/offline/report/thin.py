@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from stopset.types import Array, Index
@@ -15,9 +13,10 @@ def extremes(y: Array, points: int) -> Index:
     if n <= max(points, 4):
         return np.arange(n)
     edges = np.linspace(0, n, max(1, (points - 2) // 2) + 1).astype(int)
-    stretches = [(a, b) for a, b in pairwise(edges) if b > a]
-    rows = [a + f(y[a:b]) for a, b in stretches for f in (np.argmin, np.argmax)]
-    return np.unique([0, n - 1, *rows])
+    longest = np.diff(edges).max()
+    rows = np.minimum(edges[:-1, None] + np.arange(longest), edges[1:, None] - 1)  # a shorter stretch repeats its last
+    values, each = y[rows], np.arange(len(rows))
+    return np.unique([0, n - 1, *rows[each, values.argmin(axis=1)], *rows[each, values.argmax(axis=1)]])
 
 
 def hulls(lo: Array, hi: Array, points: int) -> tuple[Index, Array, Array]:
@@ -29,8 +28,12 @@ def hulls(lo: Array, hi: Array, points: int) -> tuple[Index, Array, Array]:
     if n <= max(points, 2):
         return np.arange(n), lo, hi
     at = np.linspace(0, n - 1, points).astype(int)
-    spans = [slice(at[max(k - 1, 0)], at[min(k + 1, points - 1)] + 1) for k in range(points)]
-    return at, np.array([lo[s].min() for s in spans]), np.array([hi[s].max() for s in spans])
+
+    def within(edge: Array, most: np.ufunc) -> Array:
+        stretches = most(most.reduceat(edge, at[:-1]), edge[at[1:]])  # both of its ends belong to a stretch
+        return np.asarray(most(stretches[[0, *range(points - 1)]], stretches[[*range(points - 1), -1]]))
+
+    return at, within(lo, np.minimum), within(hi, np.maximum)
 
 
 def spread(x: Array, y: Array, points: int) -> Index:
