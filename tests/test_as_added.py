@@ -102,3 +102,17 @@ def test_a_true_law_where_identification_chose_none_is_named_and_taken() -> None
     assert [r.label for r in found.ranked] == ["stribeck:arm_2_joint"]
     revised = add(model, ["stribeck:arm_2_joint"], campaign(data))
     assert revised.model is not None and "stribeck:arm_2_joint" in [f.label for f in revised.model.effects]
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+def test_what_a_model_has_no_law_for_is_named_and_why_add_refuses_it_is_told(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """R-1542: friction of all that a UR10e's shoulder transmits took 4.9 to 0.7 N m away, and was *unknown*, as gravity's part of it does not."""
+    case = found_pairs.weeks_later(found_pairs.drawn(168021, 6), 168021)
+    _, model, data, _ = found_pairs.made(str(shared_data("ur10e/robot.urdf")), case, 168021)
+    found, _ = diagnose_model(model, data)
+    (named,) = found.ranked
+    assert found.verdict == "missing" and named.label == "quadratic_load:shoulder_lift_joint" and named.transmitted
+    assert named.error_after < 0.2 * named.error_before
+    why = alone(model, campaign(data), named.fitted).why
+    assert "explains more than gravity's part of the load" in why and why in named.says

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -218,11 +218,10 @@ def test_stops_of_two_revisions_are_compared_where_both_have_been() -> None:
 LAW, OTHER_LAW = "load_coulomb:lift", "quadratic_load:lift"
 
 
-@pytest.mark.parametrize(("name", "says"), [(LAW, "its numbers stay"), (OTHER_LAW, f"the model has {LAW} there already")])
-def test_friction_that_raises_the_error_of_motions_kept_back_is_refused(
-    monkeypatch: pytest.MonkeyPatch, name: str, says: str
-) -> None:
-    """The diagnosis said that its error falls, beside no such law; held against the model that has one it rises. Asked by name, taken by force."""
+@pytest.fixture
+def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[..., judging.Judgement]:
+    """The judgement of a law that the diagnosis names, by a model that has one of number 2 and leaves 1 N m of its joint; with a law of any other
+    number, and of another model's ``own`` with that, it leaves 1.1 N m."""
     joints = ("turn", "lift")
 
     def errors(lift: float) -> dict[str, float]:
@@ -230,19 +229,46 @@ def test_friction_that_raises_the_error_of_motions_kept_back_is_refused(
         return {**dict.fromkeys(judging.HELD_OUT, 1.0), **each}
 
     def simulated(self: Any, settings: Settings, known: Sequence[Fitted]) -> dict[str, float]:
-        return errors(1.1 if known else 1.0)
+        return errors(1.1 if any(f.values["x"] != 2.0 or self.campaign.worse for f in known) else 1.0)
 
-    found = SimpleNamespace(name=name, before=np.array([1.0, 2.0]), after=np.array([1.0, 1.0]), fitted=Fitted(name, None, {}, {}))
-    answer = SimpleNamespace(found=(found,), before=np.array([1.0, 2.0]), words="all")
-    for target, fake in (("question", None), ("estimates", answer), ("retained_effects", ()), ("own", True)):
-        monkeypatch.setattr(judging, target, lambda *args, fake=fake: fake)
+    def judged(name: str, *, force: bool = False, worse: bool = False) -> judging.Judgement:
+        effect, _, joint = name.partition(":")
+        fitted, own = Fitted(effect, joint, {"x": 3.0}), Fitted(*LAW.split(":"), {"x": 2.0})
+        found = SimpleNamespace(name=name, before=np.array([1.0, 2.0]), after=np.array([1.0, 1.0]), fitted=fitted)
+        answer = SimpleNamespace(found=(found,), before=np.array([1.0, 2.0]), words="all")
+        for target, fake in (("question", None), ("estimates", answer), ("retained_effects", ()), ("own", True)):
+            monkeypatch.setattr(judging, target, lambda *args, fake=fake: fake)
+        model: Any = SimpleNamespace(
+            joints=joints, provenance={"chosen": [LAW], "data": {}}, effects=(own,), effort="motor_torque"
+        )
+        campaign: Any = SimpleNamespace(meta=Meta(joints=joints), trials=lambda: iter(()), worse=worse)
+        robot: Any = SimpleNamespace(joints=joints, n=2)
+        judge = judging.Judge(model, robot, campaign, None, silent)  # type: ignore[arg-type]
+        return judging.by_evidence(judge, Settings(), [name], None, force=force)
+
     monkeypatch.setattr(judging.Judge, "simulated", simulated)
-    model: Any = SimpleNamespace(joints=joints, provenance={"chosen": [LAW]})
-    campaign: Any = SimpleNamespace(meta=Meta(joints=joints), trials=lambda: iter(()))
-    robot: Any = SimpleNamespace(joints=joints, n=2)
-    judge = judging.Judge(model, robot, campaign, None, silent)  # type: ignore[arg-type]
-    (told,) = judging.by_evidence(judge, Settings(), [name], None, force=False).judged
-    assert not told.helps and says in told.why and "would rise from 1 to 1.1 N m" in told.why
-    assert told.in_model == (name == LAW)
-    (forced,) = judging.by_evidence(judge, Settings(), [name], None, force=True).judged
+    return judged
+
+
+@pytest.mark.parametrize(("name", "worse"), [(OTHER_LAW, False), (LAW, True)])
+def test_friction_that_raises_the_error_of_motions_kept_back_is_refused(
+    judged_by: Callable[..., judging.Judgement], name: str, worse: bool
+) -> None:
+    """The diagnosis said that its error falls, beside no such law; held against the model that has one it rises. Asked by name, taken by force."""
+    (told,) = judged_by(name, worse=worse).judged
+    assert not told.helps and "would rise from 1 to 1.1 N m" in told.why and told.in_model == (name == LAW)
+    assert (f"the model has {LAW} there already" if name == OTHER_LAW else "explains more") in told.why
+    (forced,) = judged_by(name, force=True).judged
     assert forced.helps and not forced.why
+
+
+def test_a_law_that_the_model_has_keeps_its_numbers_where_the_diagnosis_gives_worse_ones(
+    judged_by: Callable[..., judging.Judgement],
+) -> None:
+    """R-1541: `diagnose` names what is there, whoever found it; `add` refused it for numbers that were not the model's."""
+    judgement = judged_by(LAW)
+    (told,) = judgement.judged
+    assert told.helps and not told.why and told.in_model
+    assert "its numbers stay" in told.stays and "would rise from 1 to 1.1 N m on held-out data" in told.stays
+    assert [f.values["x"] for f in judgement.known] == [2.0], "those of the identification"
+    assert [f.values["x"] for f in judged_by(LAW, force=True).known] == [3.0], "by force those of the diagnosis"

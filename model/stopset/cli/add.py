@@ -71,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         done = add(model, names, campaign, force=args.force, progress=progress, keep=args.keep_as if args.keep else None)
     for j in done.judged:
         say(f"{j.name}: {'refused, ' + j.why if j.why else 'enters ' + j.enters}")
+        if j.stays and not j.why:
+            say(f"  {j.stays}")
         if j.beside and not j.why:
             say(
                 f"  its numbers are those beside {', '.join(j.beside)}, found there too: add {'them' if len(j.beside) > 1 else 'it'} as well"
@@ -93,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, {
             "helps": done.helps, "before": done.before, "after": done.after, "judged_on": done.judged_on,
             "judged": [{"effect": j.name, "helps": j.helps, "before": j.before, "after": j.after, "enters": j.enters, "why": j.why,
-                        "in_model": j.in_model} for j in done.judged],
+                        "in_model": j.in_model, "stays": j.stays} for j in done.judged],
         })  # fmt: skip
     saved = save_model(done.model, args.out) if done.model is not None else None
     if args.report:

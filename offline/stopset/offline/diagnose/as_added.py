@@ -169,5 +169,6 @@ def _worse_words(name: str, joint: str, errors: tuple[float, float], chosen: Seq
     if name in chosen:
         return f"the model has it already, and its numbers stay: with those that the diagnosis gives {rise}"
     laws = ", ".join(x for x in chosen if joint in x.partition(":")[2].split("+"))
-    there = f"the model has {laws} there already" if laws else "what the model has there already explains more"
+    of = " than gravity's part of the load" if "load" in get(name.partition(":")[0]).needs else ""
+    there = f"the model has {laws} there already" if laws else f"what the model has there already explains more{of}"
     return f"{rise}; expected it to fall: {there}"

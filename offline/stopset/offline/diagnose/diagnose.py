@@ -165,19 +165,31 @@ def diagnose_model(
 
 
 def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Progress) -> Examination:
-    """The examination of a model's own recordings without what `add` would refuse for what the model leaves of them."""
+    """The examination of a model's own recordings without what `add` would refuse for what the model leaves of them.
+
+    Friction of all that a gear transmits stays named where gravity's part, which a model takes, explains too little, and the model has no law of
+    the load there: it is what is missing.
+    """
     campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
     asked = dict[str, str]()
+    chosen = [f for f in model.effects if f.label in model.provenance.get("chosen", ())]
+    loaded = {j for f in chosen if "load" in get(f.effect).needs for j in f.joints}
     while True:
         named = [r for r in x.ranked if not r.objection]
         for r in named:
             if r.label not in asked and in_question(model, recordings.meta, [r.label]):
                 progress(f"what the model would leave of these recordings with {r.label}")
                 asked[r.label] = alone(model, campaign, r.fitted).why
-        refused = {name: why for name, why in asked.items() if why}
+        beyond = {r.label for r in named if r.transmitted and not loaded.intersection(r.joints)}
+        refused = {name: why for name, why in asked.items() if why and name not in beyond}
         if not any(r.label in refused for r in named):
-            return x
+            return replace(x, ranked=tuple(_not_taken(r, asked.get(r.label, "")) if r.label in beyond else r for r in x.ranked))
         x = refusing(x, refused)  # what was one too many may be named now
+
+
+def _not_taken(r: Ranked, why: str) -> Ranked:
+    """Friction that is missing, with the reason ``why`` `add` refuses it: empty where it does not."""
+    return replace(r, says=f"{r.says} It explains too little for `add` to take it: {why}.") if why else r
 
 
 def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:

@@ -7,7 +7,7 @@ judged by simulation: the nominal model with and without the effect is fitted on
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -54,7 +54,8 @@ class Judged:
     enters: str  # where it goes in the model
     why: str = ""
     beside: tuple[str, ...] = ()
-    in_model: bool = False  # identification chose it in these recordings: added, it gets the diagnosis' numbers
+    in_model: bool = False  # identification chose it in these recordings already
+    stays: str = ""  # why it keeps the numbers that identification gave it; empty where it gets the diagnosis'
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +166,10 @@ def _at_joints(simulated: Mapping[str, float], at: Mapping[str, JointStep], side
 def by_evidence(
     judge: Judge, settings: Settings, names: Sequence[str], first: Mapping[str, float] | None, *, force: bool
 ) -> Judgement:
-    """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers."""
+    """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers.
+
+    A law that identification chose keeps its own where the diagnosis' leave more: it is there, whichever of the two tells it better.
+    """
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
     q = question(judge.model, recordings)
@@ -173,31 +177,26 @@ def by_evidence(
     joints, same = judge.model.joints, own(judge.model, judge.campaign.meta)
     chosen = tuple(judge.model.provenance.get("chosen", ())) if same else ()
     judge.progress("simulating without and with it")
-    retained = retained_effects(judge.model)
-
-    def around(added: Sequence[Estimate]) -> Settings:
-        return retained_elsewhere(settings, chosen, [e.fitted for e in added], judge.robot) if same else settings
-
     rubbing = [n for n in names if levelled(n, judge.robot)]
-    plain = dict(first) if first and not (rubbing and answer.found) else judge.simulated(around([]), retained)
-    known: dict[tuple[str, ...], _Tried] = {(): (around([]), retained, plain)}
-
-    def beside(added: Sequence[Estimate]) -> _Tried:
-        labels = tuple(e.fitted.label for e in added)
-        if labels not in known:
-            wanted = [n for n in names if any(e.name == n for e in added)]
-            more, taken = replace(around(added), effects=(*settings.effects, *wanted)), (*retained, *(e.fitted for e in added))
-            known[labels] = more, taken, judge.simulated(more, taken)
-        return known[labels]
-
-    found, refused, asked = list(answer.found), dict[str, str](), dict[str, Alone]()
+    tried = _Trials(judge, settings, chosen if same else None)
+    if first and not (rubbing and answer.found):
+        plain = dict(first)
+    else:
+        _, _, plain = tried.beside([], {})
+    by_identification = {f.label: f for f in judge.model.effects if f.label in chosen}
+    found, refused, asked, stays = list(answer.found), dict[str, str](), dict[str, Alone](), dict[str, str]()
     # what judges leaves the laws in question that identification chose; the model without friction that is added has them
-    _, _, without = beside([e for e in found if e.name not in rubbing])
+    _, _, without = tried.beside([e for e in found if e.name not in rubbing], {})
     while True:
-        more, taken, after = beside(found)
+        more, taken, after = tried.beside(found, {label: by_identification[label] for label in stays})
         laws = [] if force else [e for e in found if e.name in rubbing]
         errors = _torque(without, joints), _torque(after, joints)
-        worse = raised(judge.robot, [e.name for e in laws], errors, chosen, "on held-out data")
+        theirs = [x for x in chosen if x not in stays]
+        worse = raised(judge.robot, [e.name for e in laws], errors, theirs, "on held-out data")
+        of_the_model = [e for e in laws if e.name in worse and e.fitted.label in by_identification.keys() - stays.keys()]
+        if of_the_model:
+            stays |= {e.fitted.label: worse[e.name] for e in of_the_model}
+            continue
         for e in () if worse else laws:
             label = e.fitted.label
             asked[label] = asked.get(label) or alone(judge.model, judge.campaign, e.fitted)
@@ -218,8 +217,32 @@ def by_evidence(
         sides = (first or plain if mine[0] is answer.found[0] else after), after
         a, b = (_with_torque(x, joints, row) for x, row in zip(sides, (mine[0].before, mine[-1].after), strict=True))
         why = refused.get(name, "")
-        judged.append(Judged(name, a, b, not why, entry(get(name.partition(":")[0])), why, in_model=name in chosen))
+        stay = next((stays[e.fitted.label] for e in mine if e.fitted.label in stays), "")
+        judged.append(Judged(name, a, b, not why, entry(get(name.partition(":")[0])), why, in_model=name in chosen, stays=stay))
     return Judgement(tuple(judged), start, more, taken, answer.words)
+
+
+@dataclass(frozen=True, slots=True)
+class _Trials:
+    """Revisions tried on what is held out, each once; ``chosen``: laws that identification chose in the same recordings, None: in others."""
+
+    judge: Judge
+    settings: Settings
+    chosen: tuple[str, ...] | None
+    _known: dict[tuple[tuple[str, bool], ...], _Tried] = field(default_factory=dict)
+
+    def beside(self, added: Sequence[Estimate], given: Mapping[str, Fitted]) -> _Tried:
+        """The model with what is ``added``, with the numbers of its estimate or those ``given``, by label."""
+        which = tuple((e.fitted.label, e.fitted.label in given) for e in added)
+        if which not in self._known:
+            fitted = [e.fitted for e in added]
+            around = self.settings
+            if self.chosen is not None:
+                around = retained_elsewhere(around, self.chosen, fitted, self.judge.robot)
+            more = replace(around, effects=(*self.settings.effects, *dict.fromkeys(e.name for e in added)))
+            taken = (*retained_effects(self.judge.model), *(given.get(f.label, f) for f in fitted))
+            self._known[which] = more, taken, self.judge.simulated(more, taken)
+        return self._known[which]
 
 
 def _torque(simulated: Mapping[str, float], joints: Sequence[str]) -> dict[str, float]:

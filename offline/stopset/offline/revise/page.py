@@ -48,6 +48,8 @@ def tried(model: Model, done: Revised, data: Sequence[str | Path] = ()) -> Page:
             out.verdict(f"{j.name} is refused: {j.why}.", "bad")
         elif not j.helps:
             out.verdict(f"{j.name} was forced in, though it does not lower the error on held-out data.", "bad")
+        elif j.stays:
+            out.verdict(f"{j.name}: {j.stays}.")
     revision = _last(model) if done.model is not None else None
     if revision is not None:
         out.verdict(*_said(revision))

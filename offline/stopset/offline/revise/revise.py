@@ -223,8 +223,18 @@ def _judged_before(model: Model, campaign: Campaign) -> dict[str, float] | None:
 
 
 def _note(taken: Sequence[Judged], judged_on: str) -> str:
-    """What the model file says of a revision: where each effect went, and which were forced."""
-    parts = [f"{j.name} enters {j.enters}" + ("" if j.helps else " (forced: it does not help on held-out data)") for j in taken]
+    """What the model file says of a revision: where each effect went, which were forced, and which kept their numbers."""
+
+    def said(j: Judged) -> str:
+        return (
+            ": the model had it, and its numbers stay"
+            if j.stays
+            else ""
+            if j.helps
+            else " (forced: it does not help on held-out data)"
+        )
+
+    parts = [f"{j.name} enters {j.enters}{said(j)}" for j in taken]
     return "; ".join([*parts, f"judged on {judged_on}"])
 
 

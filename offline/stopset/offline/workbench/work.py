@@ -142,7 +142,8 @@ def _add(order: Order, model: Model, send: Send) -> None:
     done = add(model, [name], campaign, force=bool(force), progress=progress)
     row = {
         "effect": effect, "joint": joint or None, "helps": done.helps, "before": done.before, "after": done.after,
-        "judged_on": done.judged_on, "why": "; ".join(j.why for j in done.judged if j.why), "file": None if done.model is None else str(target),
+        "judged_on": done.judged_on, "why": "; ".join(x for j in done.judged if (x := j.why or j.stays)),
+        "file": None if done.model is None else str(target),
     }  # fmt: skip
     if done.model is None:
         send(Answered("add", row))
