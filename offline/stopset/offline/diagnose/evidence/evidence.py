@@ -44,6 +44,7 @@ class JointGram:
     g: Array
     ff: Array
     _at: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
+    _among_all: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
 
     @property
     def X(self) -> Array:
@@ -122,6 +123,16 @@ class JointGram:
             self._at[sigma, kappa] = self._marginal(self.G.sum(axis=0), self.g, self.ff, sigma, kappa)
         return self._at[sigma, kappa]
 
+    def among_all(self, sigma: float, kappa: float) -> tuple[Array, float]:
+        """`at`, its columns in their places in the whole, which ends with the last of them; zero between."""
+        if (sigma, kappa) not in self._among_all:
+            part, logdet = self.at(sigma, kappa)
+            size = int(self.index.max(initial=-1)) + 1
+            whole = np.zeros((size, size))
+            whole[self.index[:, None], self.index] = part
+            self._among_all[sigma, kappa] = whole, logdet
+        return self._among_all[sigma, kappa]
+
     @staticmethod
     def _marginal(G: Array, g: Array, ff: Array, sigma: float, kappa: float) -> tuple[Array, float]:
         """The trials' friction scales integrated out."""
@@ -167,18 +178,31 @@ def _factor(A: Array) -> Array:
     return np.asarray(np.linalg.cholesky(A + RIDGES[-1] * np.eye(len(A))))
 
 
+def block(G: Array, rows: Index, columns: Index) -> Array:
+    """``G[np.ix_(rows, columns)]``; of runs of neighbours a view, which is several times as fast."""
+    if _run(rows) and _run(columns):
+        return G[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return np.asarray(G[rows[:, None], columns])
+
+
+def _run(index: Index) -> bool:
+    return len(index) > 0 and bool(index[-1] - index[0] == len(index) - 1 and (index[1:] - index[:-1] == 1).all())
+
+
 def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array, mean: Array) -> Projection:
     """Take the ``nuisance`` (with prior ``mean`` and ``precision``) out of the columns ``rest`` and of ``y``."""
+    y_nuisance, y_rest, square = G[nuisance, y], G[rest, y], float(G[y, y])
     at = np.flatnonzero(mean)
-    known, m = nuisance[at], mean[at]
-    y_nuisance, y_rest = G[nuisance, y] - G[np.ix_(nuisance, known)] @ m, G[rest, y] - G[np.ix_(rest, known)] @ m
-    square = float(G[y, y] - 2 * m @ G[known, y] + m @ G[np.ix_(known, known)] @ m)
-    A = G[np.ix_(nuisance, nuisance)] + np.diag(precision)
+    if len(at):
+        known, m = nuisance[at], mean[at]
+        y_nuisance, y_rest = y_nuisance - block(G, nuisance, known) @ m, y_rest - block(G, rest, known) @ m
+        square = float(square - 2 * m @ G[known, y] + m @ block(G, known, known) @ m)
+    A = block(G, nuisance, nuisance) + np.diag(precision)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
     L = _factor(A * np.outer(scale, scale))
-    B = np.column_stack([G[np.ix_(nuisance, rest)], y_nuisance]) * scale[:, None]
+    B = np.column_stack([block(G, nuisance, rest), y_nuisance]) * scale[:, None]
     W = solve_triangular(L, B, lower=True, check_finite=False)
-    S = G[np.ix_(rest, rest)] - W[:, :-1].T @ W[:, :-1]
+    S = block(G, rest, rest) - W[:, :-1].T @ W[:, :-1]
     s = y_rest - W[:, :-1].T @ W[:, -1]
     rss = float(square - W[:, -1] @ W[:, -1])
     theta = mean + scale * solve_triangular(L, W[:, -1], lower=True, trans=1, check_finite=False)

@@ -17,6 +17,7 @@ from stopset.offline.diagnose.evidence.evidence import Projection, project
 from stopset.types import Array, Index, Mask
 
 ROUNDS = 3  # of choosing one hyperparameter after another: they settle in two
+SMALL = 400  # columns of an engine of which every joint's sums are kept in their places, too
 GIVEN = 1e-7  # prior deviation of a coefficient that is given
 
 
@@ -166,8 +167,12 @@ class Hypothesis:
         """(C, C) Gram of all joints and the friction scales' log determinant."""
         G, logdet = np.zeros((self.engine.size, self.engine.size)), 0.0
         for gram, s, k in zip(self.engine.grams, hyper.sigma, hyper.kappa, strict=True):
-            part, ld = gram.at(s, k, folds)
-            G[np.ix_(gram.index, gram.index)] += part
+            if folds is None and self.engine.size <= SMALL:
+                whole, ld = gram.among_all(s, k)
+                G[: len(whole), : len(whole)] += whole
+            else:
+                part, ld = gram.at(s, k, folds)
+                G[gram.index[:, None], gram.index] += part
             logdet += ld
         return G, logdet
 

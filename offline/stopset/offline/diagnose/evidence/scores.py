@@ -31,7 +31,7 @@ class _Best:
         alike, own = self.groups[asked]
         for k in own:
             ix = np.searchsorted(rest, self.candidates[k].cols)
-            self._put(k, bonus, *gain_within(p.S[np.ix_(ix, ix)], p.s[ix], self.candidates[k]))
+            self._put(k, bonus, *gain_within(p.S[ix[:, None], ix], p.s[ix], self.candidates[k]))
         for group in alike:
             at = np.searchsorted(rest, group.cols)
             for found in zip(group.which, *group.gains(p.S[at[:, :, None], at[:, None, :]], p.s[at]), strict=True):
@@ -84,8 +84,8 @@ def _other_scatter(
     number = np.full(now.engine.size, -1)
     number[wanted] = np.arange(len(wanted))
     gram = now.engine.grams[joint].keep(np.flatnonzero(number[now.engine.grams[joint].index] >= 0), rows=False)
-    at = np.ix_(number[gram.index], number[gram.index])
-    few = G[np.ix_(wanted, wanted)]
+    at = number[gram.index][:, None], number[gram.index]
+    few = G[wanted[:, None], wanted]
     here, ld = gram.at(hyper.sigma[joint], hyper.kappa[joint])
     for s in (s for s in limit.SCATTERS if s < hyper.sigma[joint]):
         there, ld2 = gram.at(s, hyper.kappa[joint])
