@@ -43,6 +43,7 @@ class JointGram:
     G: Array
     g: Array
     ff: Array
+    of_a_view: bool = False  # few columns, asked again and again: kept in their places in the whole, too
     _at: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
     _among_all: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
 

@@ -17,7 +17,6 @@ from stopset.offline.diagnose.evidence.evidence import Projection, project
 from stopset.types import Array, Index, Mask
 
 ROUNDS = 3  # of choosing one hyperparameter after another: they settle in two
-SMALL = 400  # columns of an engine of which every joint's sums are kept in their places, too
 GIVEN = 1e-7  # prior deviation of a coefficient that is given
 
 
@@ -155,7 +154,7 @@ class Hypothesis:
             grams = []
             for gram in engine.grams:
                 small = gram.keep(np.flatnonzero(number[gram.index] >= 0))
-                small.index = number[small.index]
+                small.index, small.of_a_view = number[small.index], True
                 grams.append(small)
             own = replace(engine, grams=grams, size=len(wanted))
             active = tuple(replace(c, cols=number[c.cols]) for c in self.active)
@@ -167,7 +166,7 @@ class Hypothesis:
         """(C, C) Gram of all joints and the friction scales' log determinant."""
         G, logdet = np.zeros((self.engine.size, self.engine.size)), 0.0
         for gram, s, k in zip(self.engine.grams, hyper.sigma, hyper.kappa, strict=True):
-            if folds is None and self.engine.size <= SMALL:
+            if gram.of_a_view and folds is None:
                 whole, ld = gram.among_all(s, k)
                 G[: len(whole), : len(whole)] += whole
             else:
