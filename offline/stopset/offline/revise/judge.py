@@ -6,7 +6,7 @@ judged by simulation: the nominal model with and without the effect is fitted on
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,7 +55,7 @@ class Judged:
     why: str = ""
     beside: tuple[str, ...] = ()
     in_model: bool = False  # identification chose it in these recordings already
-    stays: str = ""  # why it keeps the numbers that identification gave it; empty where it gets the diagnosis'
+    stays: str = ""  # why its numbers stay identification's; empty where it gets the diagnosis'
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +168,8 @@ def by_evidence(
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers.
 
-    A law that identification chose keeps its own where the diagnosis' leave more: it is there, whichever of the two tells it better.
+    A law that identification chose gets its numbers from identification again where the diagnosis' leave more: it is there, whichever of the
+    two tells it better.
     """
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
@@ -182,20 +183,19 @@ def by_evidence(
     if first and not (rubbing and answer.found):
         plain = dict(first)
     else:
-        _, _, plain = tried.beside([], {})
-    by_identification = {f.label: f for f in judge.model.effects if f.label in chosen}
+        _, _, plain = tried.beside([])
     found, refused, asked, stays = list(answer.found), dict[str, str](), dict[str, Alone](), dict[str, str]()
     # what judges leaves the laws in question that identification chose; the model without friction that is added has them
-    _, _, without = tried.beside([e for e in found if e.name not in rubbing], {})
+    _, _, without = tried.beside([e for e in found if e.name not in rubbing])
     while True:
-        more, taken, after = tried.beside(found, {label: by_identification[label] for label in stays})
+        more, taken, after = tried.beside(found, stays)
         laws = [] if force else [e for e in found if e.name in rubbing]
         errors = _torque(without, joints), _torque(after, joints)
         theirs = [x for x in chosen if x not in stays]
         worse = raised(judge.robot, [e.name for e in laws], errors, theirs, "on held-out data")
-        of_the_model = [e for e in laws if e.name in worse and e.fitted.label in by_identification.keys() - stays.keys()]
+        of_the_model = [e for e in laws if e.name in worse and e.name in theirs]
         if of_the_model:
-            stays |= {e.fitted.label: worse[e.name] for e in of_the_model}
+            stays |= {e.name: worse[e.name] for e in of_the_model}
             continue
         for e in () if worse else laws:
             label = e.fitted.label
@@ -217,8 +217,11 @@ def by_evidence(
         sides = (first or plain if mine[0] is answer.found[0] else after), after
         a, b = (_with_torque(x, joints, row) for x, row in zip(sides, (mine[0].before, mine[-1].after), strict=True))
         why = refused.get(name, "")
-        stay = next((stays[e.fitted.label] for e in mine if e.fitted.label in stays), "")
-        judged.append(Judged(name, a, b, not why, entry(get(name.partition(":")[0])), why, in_model=name in chosen, stays=stay))
+        judged.append(
+            Judged(
+                name, a, b, not why, entry(get(name.partition(":")[0])), why, in_model=name in chosen, stays=stays.get(name, "")
+            )
+        )
     return Judgement(tuple(judged), start, more, taken, answer.words)
 
 
@@ -231,16 +234,16 @@ class _Trials:
     chosen: tuple[str, ...] | None
     _known: dict[tuple[tuple[str, bool], ...], _Tried] = field(default_factory=dict)
 
-    def beside(self, added: Sequence[Estimate], given: Mapping[str, Fitted]) -> _Tried:
-        """The model with what is ``added``, with the numbers of its estimate or those ``given``, by label."""
-        which = tuple((e.fitted.label, e.fitted.label in given) for e in added)
+    def beside(self, added: Sequence[Estimate], free: Container[str] = ()) -> _Tried:
+        """The model with what is ``added``, with the numbers of its estimate; of what is ``free``, by label, identification finds them."""
+        which = tuple((e.fitted.label, e.fitted.label in free) for e in added)
         if which not in self._known:
             fitted = [e.fitted for e in added]
             around = self.settings
             if self.chosen is not None:
                 around = retained_elsewhere(around, self.chosen, fitted, self.judge.robot)
             more = replace(around, effects=(*self.settings.effects, *dict.fromkeys(e.name for e in added)))
-            taken = (*retained_effects(self.judge.model), *(given.get(f.label, f) for f in fitted))
+            taken = (*retained_effects(self.judge.model), *(f for f in fitted if f.label not in free))
             self._known[which] = more, taken, self.judge.simulated(more, taken)
         return self._known[which]
 
