@@ -220,8 +220,8 @@ LAW, OTHER_LAW = "load_coulomb:lift", "quadratic_load:lift"
 
 @pytest.fixture
 def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[..., judging.Judgement]:
-    """The judgement of a law that the diagnosis names, by a model that leaves 1 N m of its joint: 1.1 with the diagnosis' number for a law, and
-    where it is told to be ``worse`` with identification's, too."""
+    """The judgement of a law that the diagnosis names, by a model that has one of number 2 and leaves 1 N m of its joint: 1.1 with any other
+    number, and where it is told to be ``worse`` with that, too."""
     joints = ("turn", "lift")
 
     def errors(lift: float) -> dict[str, float]:
@@ -229,16 +229,18 @@ def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[..., judging.Judgemen
         return {**dict.fromkeys(judging.HELD_OUT, 1.0), **each}
 
     def simulated(self: Any, settings: Settings, known: Sequence[Fitted]) -> dict[str, float]:
-        return errors(1.1 if known or (self.campaign.worse and settings.effects) else 1.0)
+        return errors(1.1 if any(f.values["x"] != 2.0 or self.campaign.worse for f in known) else 1.0)
 
     def judged(name: str, *, force: bool = False, worse: bool = False) -> judging.Judgement:
         effect, _, joint = name.partition(":")
-        fitted = Fitted(effect, joint, {"x": 3.0})
+        fitted, own = Fitted(effect, joint, {"x": 3.0}), Fitted(*LAW.split(":"), {"x": 2.0})
         found = SimpleNamespace(name=name, before=np.array([1.0, 2.0]), after=np.array([1.0, 1.0]), fitted=fitted)
         answer = SimpleNamespace(found=(found,), before=np.array([1.0, 2.0]), words="all")
         for target, fake in (("question", None), ("estimates", answer), ("retained_effects", ()), ("own", True)):
             monkeypatch.setattr(judging, target, lambda *args, fake=fake: fake)
-        model: Any = SimpleNamespace(joints=joints, provenance={"chosen": [LAW], "data": {}}, effort="motor_torque")
+        model: Any = SimpleNamespace(
+            joints=joints, provenance={"chosen": [LAW], "data": {}}, effects=(own,), effort="motor_torque"
+        )
         campaign: Any = SimpleNamespace(meta=Meta(joints=joints), trials=lambda: iter(()), worse=worse)
         robot: Any = SimpleNamespace(joints=joints, n=2)
         judge = judging.Judge(model, robot, campaign, None, silent)  # type: ignore[arg-type]
@@ -268,5 +270,6 @@ def test_a_law_that_the_model_has_keeps_its_numbers_where_the_diagnosis_gives_wo
     (told,) = judgement.judged
     assert told.helps and not told.why and told.in_model
     assert "its numbers stay" in told.stays and "would rise from 1 to 1.1 N m on held-out data" in told.stays
-    assert judgement.known == () and judgement.settings.effects == (LAW,), "identification finds them"
+    assert [f.values["x"] for f in judgement.known] == [2.0], "those of the identification"
+    assert judgement.settings.friction_among == (), "no other law takes a place beside it"
     assert [f.values["x"] for f in judged_by(LAW, force=True).known] == [3.0], "by force those of the diagnosis"

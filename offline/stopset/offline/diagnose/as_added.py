@@ -167,7 +167,7 @@ def _worse_words(name: str, joint: str, errors: tuple[float, float], chosen: Seq
     a, b = errors
     rise = f"the torque that the model leaves of {joint} would rise from {a:.3g} to {b:.3g} N m {where}"
     if name in chosen:
-        return f"the model has it already, and its numbers stay identification's: with those that the diagnosis gives {rise}"
+        return f"the model has it already, and its numbers stay: with those that the diagnosis gives {rise}"
     laws = ", ".join(x for x in chosen if joint in x.partition(":")[2].split("+"))
     of = " than gravity's part of the load" if "load" in get(name.partition(":")[0]).needs else ""
     there = f"the model has {laws} there already" if laws else f"what the model has there already explains more{of}"

@@ -55,7 +55,7 @@ class Judged:
     why: str = ""
     beside: tuple[str, ...] = ()
     in_model: bool = False  # identification chose it in these recordings already
-    stays: str = ""  # why its numbers stay identification's; empty where it gets the diagnosis'
+    stays: str = ""  # why it keeps the numbers that identification gave it; empty where it gets the diagnosis'
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +168,7 @@ def by_evidence(
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers.
 
-    A law that identification chose gets its numbers from identification again where the diagnosis' leave more: it is there, whichever of the
-    two tells it better.
+    A law that identification chose keeps its own where the diagnosis' leave more: it is there, whichever of the two tells it better.
     """
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
@@ -234,16 +233,18 @@ class _Trials:
     chosen: tuple[str, ...] | None
     _known: dict[tuple[tuple[str, bool], ...], _Tried] = field(default_factory=dict)
 
-    def beside(self, added: Sequence[Estimate], free: Container[str] = ()) -> _Tried:
-        """The model with what is ``added``, with the numbers of its estimate; of what is ``free``, by label, identification finds them."""
-        which = tuple((e.fitted.label, e.fitted.label in free) for e in added)
+    def beside(self, added: Sequence[Estimate], stays: Container[str] = ()) -> _Tried:
+        """The model with what is ``added``, with the numbers of its estimate; what ``stays``, by label, keeps the model's own, beside the other
+        laws that it has there."""
+        which = tuple((e.fitted.label, e.fitted.label in stays) for e in added)
         if which not in self._known:
-            fitted = [e.fitted for e in added]
+            fitted = [e.fitted for e in added if e.fitted.label not in stays]
+            own_numbers = [f for f in self.judge.model.effects if f.label in [e.fitted.label for e in added] and f.label in stays]
             around = self.settings
             if self.chosen is not None:
-                around = retained_elsewhere(around, self.chosen, fitted, self.judge.robot)
+                around = retained_elsewhere(around, [x for x in self.chosen if x not in stays], fitted, self.judge.robot)
             more = replace(around, effects=(*self.settings.effects, *dict.fromkeys(e.name for e in added)))
-            taken = (*retained_effects(self.judge.model), *(f for f in fitted if f.label not in free))
+            taken = (*retained_effects(self.judge.model), *fitted, *own_numbers)
             self._known[which] = more, taken, self.judge.simulated(more, taken)
         return self._known[which]
 

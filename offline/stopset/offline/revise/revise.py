@@ -227,7 +227,7 @@ def _note(taken: Sequence[Judged], judged_on: str) -> str:
 
     def said(j: Judged) -> str:
         return (
-            ": the model had it, and its numbers stay identification's"
+            ": the model had it, and its numbers stay"
             if j.stays
             else ""
             if j.helps
