@@ -226,13 +226,9 @@ def _note(taken: Sequence[Judged], judged_on: str) -> str:
     """What the model file says of a revision: where each effect went, which were forced, and which kept their numbers."""
 
     def said(j: Judged) -> str:
-        return (
-            ": the model had it, and its numbers stay"
-            if j.stays
-            else ""
-            if j.helps
-            else " (forced: it does not help on held-out data)"
-        )
+        if j.stays:
+            return ": the model had it, and its numbers stay"
+        return "" if j.helps else " (forced: it does not help on held-out data)"
 
     parts = [f"{j.name} enters {j.enters}{said(j)}" for j in taken]
     return "; ".join([*parts, f"judged on {judged_on}"])
