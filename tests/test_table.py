@@ -262,6 +262,25 @@ def test_quantities_in_files_of_their_own_stand_beside_each_other(tmp_path: Path
     assert main(["import", str(q), str(tmp_path / "log.asc"), *how]) == 2
 
 
+def test_files_beside_each_other_of_an_arm_of_which_a_joint_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each file with stamps and joints of its own, also of a lift that the arm's description locks; each name says its file's quantity."""
+    joints = ["arm_1_joint", "arm_2_joint", "arm_3_joint"]
+    paths = [
+        text(
+            tmp_path / f"arm_{what}.csv",
+            ["t", f"- torso_lift_joint_{what}", *(f"- {j}_{what}" for j in joints)],
+            table=np.column_stack([T, 0.0 * T, x]),
+        )
+        for what, x in (("position", Q), ("velocity", DQ), ("effort", TAU))
+    ]
+    out = tmp_path / "rec.parquet"
+    assert main(["import", *map(str, paths), "--beside", "--joints", ",".join(joints), "--out", str(out)]) == 0
+    found = read_recordings(out)
+    (r,) = found.trials
+    assert found.meta.joints == tuple(joints) and "t = arm_position.t" in capsys.readouterr().out
+    assert r.q == pytest.approx(Q) and r.dq == pytest.approx(DQ) and r.tau == pytest.approx(TAU) and r.t == pytest.approx(T - T[0])
+
+
 def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     savemat(tmp_path / "a.mat", {"t": np.zeros(2 * 10**7), "q": np.zeros((3, 10))}, do_compression=True)
     assert main(["import", str(tmp_path / "a.mat"), "--out", str(tmp_path / "r.parquet")]) == 2
@@ -275,7 +294,15 @@ def test_currents_become_torques_by_stated_constants(tmp_path: Path, capsys: pyt
         and "--torque-constant" in capsys.readouterr().err
         and not out.exists()
     )
-    assert main(["import", str(path), "--out", str(out), "--torque-constant", "10,11,12"]) == 0
+    assert main(["import", str(path), "--out", str(out), "--torque-constant", "10,-11,12"]) == 0
+    assert read_recordings(out).trials[0].tau == pytest.approx(TAU * [10, -11, 12]), "a current may count against its joint"
+
+
+def test_constants_of_what_is_taken_for_torques_are_not_passed_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = text(tmp_path / "a.csv", numbered("q#", "dq#", "effort#")), tmp_path / "rec.parquet"
+    how = ["import", str(path), "--out", str(out), "--torque-constant", "10,11,12"]
+    assert main(how) == 2 and "effort1 .. effort3 are taken for torques" in capsys.readouterr().err and not out.exists()
+    assert main([*how, "--columns", "t=t,q=q?,dq=dq?,i=effort?"]) == 0
     assert read_recordings(out).trials[0].tau == pytest.approx(TAU * [10, 11, 12])
 
 

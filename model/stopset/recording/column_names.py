@@ -97,10 +97,11 @@ def _meaning(name: str) -> tuple[str, JointWords]:
     kinds = [(kind, w) for w in said for kind, known in KINDS.items() if w in known]
     if not kinds or (NOT_DONE | NOT_OURS) & set(said):
         return "", ()
+    own = set(words(name.rpartition(".")[2]))
+    if own and own <= KINDS["t"]:  # positions.t, of a file whose name says what else it holds
+        return "t", ()
     kind, word = next((x for x in kinds if x[0] not in ("t", "i")), kinds[0])
-    rest = list(said)
-    rest.remove(word)
-    return kind, tuple(w for w in rest if w not in FILLING | UNITS)
+    return kind, tuple(w for w in said if w != word and w not in FILLING | UNITS)
 
 
 def _joints(q: Mapping[JointWords, str], joints: Sequence[str] | None, names: Sequence[str]) -> list[JointWords]:

@@ -153,10 +153,15 @@ def _torque(
 ) -> tuple[Array, str]:
     """Torques [N m], and what they were made of in words."""
     n = len(columns.q)
-    if constants is not None and (len(constants) != n or not all(np.isfinite(k) and k > 0 for k in constants)):
+    if constants is not None and (len(constants) != n or not all(np.isfinite(k) and k != 0 for k in constants)):
         raise RecordingError(
-            f"{len(constants)} torque constants ({', '.join(f'{k:g}' for k in constants)}); expected {n} above 0, N m/A on the link side: gear "
-            "ratio times the motor's constant"
+            f"{len(constants)} torque constants ({', '.join(f'{k:g}' for k in constants)}); expected {n} that are not 0, N m/A on the link side: "
+            "gear ratio times the motor's constant, below 0 where the current counts against the joint"
+        )
+    if columns.tau and constants is not None:
+        raise RecordingError(
+            f"{path}: torque constants are given, and {columns.tau[0]} .. {columns.tau[-1]} are taken for torques; expected currents: name their "
+            "columns (--columns q=..,i=..), or leave the constants out"
         )
     if columns.tau:
         return np.stack([numbers[c] for c in columns.tau], axis=1), ""

@@ -110,12 +110,12 @@ def _ends(t: SignalSums) -> list[Finding]:
     out = []
     if t.settling:
         out.append(
-            Finding("start_transient", "warning", None, f"dq does not follow q in the first {t.settling * 1e3:.3g} ms of a trial",
+            Finding("start_transient", "warning", None, f"dq does not follow q in the first {t.settling:.3g} s of a trial",
                     "dq = dq/dt from the first sample on", "a filter settles there: begin recording before the motion, or cut it off",
                     t.settling)
         )  # fmt: skip
     return out + [
-        Finding(kind, "warning", None, f"in the {which} {seconds * 1e3:.3g} ms of a trial dq contradicts q", "dq = dq/dt throughout",
+        Finding(kind, "warning", None, f"in the {which} {seconds:.3g} s of a trial dq contradicts q", "dq = dq/dt throughout",
                 "a filter's own start or end is no motion: that part is left out by every command", seconds)
         for kind, which, seconds in (("start_transient", "first", t.bent[0]), ("end_transient", "last", t.bent[1])) if seconds
     ]  # fmt: skip
