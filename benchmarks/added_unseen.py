@@ -3,10 +3,9 @@
     python benchmarks/added_unseen.py FOLDER...
 
 FOLDER: ``robot.urdf`` and recordings, divided as in `real_robots.py`.  The fitted part is identified and diagnosed; then its nominal model is
-fitted again with the numbers of each effect that is named given, and of all together (also with the model's own for those that it has), and
-with what `identify` gives the laws that it chose itself, given; at joints of which these say nothing its laws stay, as with `add`.  A star: the
-model has it already.  No gate of `add` is asked and no set identified.  Printed: error [N m] at the effect's joints and, summed, of the whole arm,
-on what was not fitted.
+fitted again with the numbers of each effect that is named given, and of all together, and with those of each law that `identify` chose itself;
+at joints of which these say nothing its laws stay, as with `add`.  A star: the model has it already, with these numbers.  No gate of `add`
+is asked and no set identified.  Printed: error [N m] at the effect's joints and, summed, of the whole arm, on what was not fitted.
 """
 
 from __future__ import annotations
@@ -41,7 +40,10 @@ def fitted_again(model: Model, fit: Recordings, known: Sequence[Fitted]) -> Mode
     learnt = replace(seen, sample=tuple(r for r in seen.sample if r.suite_key not in seen.held_out))
     learnt = replace(learnt, low_pass=recorded_low_pass(robot, learnt.sample))
     chosen = tuple(model.provenance.get("chosen", ()))
-    settings = replace(retained_elsewhere(settings_of(model), chosen, known, robot), effects=tuple(f.label for f in known))
+    given = {f.label for f in known}
+    new = [f for f in known if f.label not in chosen]
+    around = retained_elsewhere(settings_of(model), [x for x in chosen if x not in given], new, robot)
+    settings = replace(around, effects=tuple(f.label for f in known))
     part = fit_nominal(Run(robot, fit.meta, lambda: iter(trials), learnt, settings), tuple(known))
     return replace(model, robot=part.robot, rotor=part.rotor, effects=part.effects, abstraction=part.abstraction)
 
@@ -62,10 +64,8 @@ def asked(folder: Path) -> None:
     has = {f.label for f in own}
     new = [f for f in named if f.label not in has]
     each = [(f"{f.label}{'*' * (f.label in has)}", [f]) for f in named]
-    regressed = {f.label: f for f in own}
     for name, known in [
         ("all that is named", named),
-        ("all that is named, the model's own with its numbers", [regressed.get(f.label, f) for f in named]),
         ("all that the model has not", new),
         *each,
         *((f"own {f.label}", [f]) for f in own),

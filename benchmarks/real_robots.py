@@ -214,8 +214,13 @@ def diagnosed(model: Path, fit: Path, work: Path) -> dict[str, Any]:
     answer.unlink(missing_ok=True)
     code, text, seconds = stopset("diagnose", str(model), "--data", str(fit), "--json", str(answer))
     found = json.loads(answer.read_text()) if code == 0 else {"verdict": text.strip().splitlines()[-1], "ranked_effects": []}
-    effects = [f"{e['effect']}:{e['joint']}" if e["joint"] else e["effect"] for e in found["ranked_effects"]]
+    effects = [":".join(filter(None, (e["effect"], _at(e["joint"])))) for e in found["ranked_effects"]]
     return {"diagnosis": found["verdict"], "diagnose seconds": round(seconds), "effects": effects}
+
+
+def _at(joint: str | Sequence[str] | None) -> str:
+    """The joint of an effect, or all of them, as `add` is given them."""
+    return joint if isinstance(joint, str) else "+".join(joint or ())
 
 
 def by_position(model: Path, paths: dict[str, Path], work: Path, text: str) -> dict[str, Any]:

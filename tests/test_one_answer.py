@@ -50,6 +50,8 @@ def test_all_commands_say_the_same(arm: str, name: str, lengths: tuple[float, ..
     robot, model, data, pair = found_pairs.made(arm, replace(case, lengths=lengths), seed)
     answer = contradictions(robot, model, data, own=not pair)
     assert answer["named"] == [label] and answer["contradictions"] == []
+    unasked = {f.label: dict(f.values) for f in model.effects}
+    assert pair or answer["numbers"] == [unasked[label]], "what identification chose unasked has one number, whoever tells it"
     if lengths is MANY:
         held = survey(lambda: data.trials).held_out
         asked = question(model, data).asked

@@ -278,7 +278,9 @@ def test_files_beside_each_other_of_an_arm_of_which_a_joint_stands(tmp_path: Pat
     found = read_recordings(out)
     (r,) = found.trials
     assert found.meta.joints == tuple(joints) and "t = arm_position.t" in capsys.readouterr().out
-    assert r.q == pytest.approx(Q) and r.dq == pytest.approx(DQ) and r.tau == pytest.approx(TAU) and r.t == pytest.approx(T - T[0])
+    assert (
+        r.q == pytest.approx(Q) and r.dq == pytest.approx(DQ) and r.tau == pytest.approx(TAU) and r.t == pytest.approx(T - T[0])
+    )
 
 
 def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -166,8 +166,6 @@ def _worse_words(name: str, joint: str, errors: tuple[float, float], chosen: Seq
     """Why friction is refused that raises the torque error [N m] that a model leaves of a joint."""
     a, b = errors
     rise = f"the torque that the model leaves of {joint} would rise from {a:.3g} to {b:.3g} N m {where}"
-    if name in chosen:
-        return f"the model has it already, and its numbers stay: with those that the diagnosis gives {rise}"
     laws = ", ".join(x for x in chosen if joint in x.partition(":")[2].split("+"))
     of = " than gravity's part of the load" if "load" in get(name.partition(":")[0]).needs else ""
     there = f"the model has {laws} there already" if laws else f"what the model has there already explains more{of}"

@@ -37,7 +37,7 @@ SINGLE = (
 )
 LEAVES_TOO_MUCH = "it explains a part, and leaves too much to be the cause"
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
-ALREADY = " The model has it already: identification chose it."
+ALREADY = " The model has it already, with these numbers: identification chose it."
 
 
 def diagnose(
@@ -147,10 +147,11 @@ def diagnose_model(
         return replace(standing(q.robot, q.recordings, q.fitted), notes=(*without, *q.notes)), q.against
     x = _as_added(model, recordings, examined(q, progress), progress) if q.model is None else examined(q, progress)
     found = answered(x, names)
-    chosen = {f.label for f in model.effects} - {f.label for f in q.fitted}
+    known = {f.label for f in q.fitted}
+    chosen = {f.label: f for f in model.effects if f.label not in known}
 
     def marked(ranked: tuple[Ranked, ...]) -> tuple[Ranked, ...]:
-        return tuple(replace(r, in_model=True, says=r.says + ALREADY) if r.label in chosen else r for r in ranked)
+        return tuple(_of_the_model(r, chosen[r.label]) if r.label in chosen else r for r in ranked)
 
     found = replace(found, ranked=marked(found.ranked), claims=marked(found.claims), alternatives=marked(found.alternatives))
     found = replace(found, taken_out=q.taken_out, notes=(*without, *q.notes, *found.notes))
@@ -162,6 +163,12 @@ def diagnose_model(
     moving = [r for r in q.recordings if moves(r)]
     changed = [c for c in changes(beside, moving, transmitted) if get(c.effect).scope != "arm"]
     return _with_changes(x, found, [c for c in changed if names is None or c.effect in names]), q.against
+
+
+def _of_the_model(r: Ranked, law: Fitted) -> Ranked:
+    """What is named, with the numbers of the ``law`` that identification chose in the same recordings, beside all else."""
+    numbers = {k: replace(p, value=law.values[k], std=law.std.get(k)) for k, p in r.parameters.items()}
+    return replace(r, in_model=True, says=r.says + ALREADY, parameters=numbers)
 
 
 def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Progress) -> Examination:

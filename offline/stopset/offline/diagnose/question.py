@@ -3,7 +3,7 @@
 A model's numbers of an effect must not depend on the way they were asked for.  So `diagnose`, `add` and `identify --effects` put one
 question to the search: the same trials, the torque in step with the motion and without what a filter took off it, against the same
 description, beside the same effects.  The motions that judge a model's sets are left out of it: a model that is made with these
-numbers must not have seen them.
+numbers must not have seen them.  A law that identification chose unasked has the numbers that it has beside all else, in each of them.
 """
 
 from __future__ import annotations

@@ -22,8 +22,9 @@ from stopset.robot import Robot
 def asked_effects(run: Run, known: Sequence[Fitted] = (), chosen: Sequence[str] = ()) -> tuple[Fitted, ...]:
     """Numbers of the effects that the settings of ``run`` ask for beyond friction; ``run``: of what may shape the nominal model.
 
-    ``known`` ones are kept, ``chosen`` ones taken where they leave a trace.  What the torque was late and what a filter took off it is
-    that of a nominal model without them, so that the recordings are asked as a diagnosis of that model asks them.
+    ``known`` ones are kept, ``chosen`` ones taken where they leave a trace; friction that the evidence chooses unasked has the numbers that it
+    has then.  What the torque was late and what a filter took off it is that of a nominal model without them, so that the recordings are
+    asked as a diagnosis of that model asks them.
     Raises `EffectError` for an effect that these recordings show no trace of.
     """
     if run.meta.effort == "compensated_torque":
@@ -36,14 +37,19 @@ def asked_effects(run: Run, known: Sequence[Fitted] = (), chosen: Sequence[str] 
         return tuple(known)
     settings = replace(run.settings, effects=tuple(x for x in run.settings.effects if x not in wanted))
     part = fit_nominal(replace(run, settings=settings), tuple(known))
+    unasked = {f.label: f for f in part.effects if any(g.name == f.label for g in part.chosen)}
+    own = [unasked[name] for name in wanted if name in unasked]
+    if len(own) == len(wanted):
+        return (*known, *own)
     trials = Recordings(replace(run.meta, joints=run.robot.joints), tuple(run.trials()))
     plain = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
     beside = [f for f in known if not get(f.effect).base]
     found = estimates(first_question(run.robot, trials, plain, run.survey.low_pass, beside, part.taken_out), wanted).found
-    for name in wanted:
+    left = [name for name in wanted if name not in unasked]
+    for name in left:
         if name not in chosen and not any(e.name == name for e in found):
             raise EffectError(f"{name}: {NO_TRACE}")
-    return (*known, *(e.fitted for e in found))
+    return (*known, *own, *(unasked.get(e.fitted.label, e.fitted) for e in found if e.name in left))
 
 
 def _simulated(run: Run, known: Sequence[Fitted]) -> tuple[Fitted, ...]:

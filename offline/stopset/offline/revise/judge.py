@@ -6,7 +6,7 @@ judged by simulation: the nominal model with and without the effect is fitted on
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,6 +38,7 @@ _Tried = tuple[
     Settings, tuple[Fitted, ...], dict[str, float]
 ]  # what to identify a revision with, its effects, its held-out errors
 NO_TRACE = "the data show no trace of it, so there are no numbers to add"
+STAYS = "identification chose it in these recordings, beside all else: the model has it already, and its numbers stay"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class Judged:
     why: str = ""
     beside: tuple[str, ...] = ()
     in_model: bool = False  # identification chose it in these recordings already
-    stays: str = ""  # why it keeps the numbers that identification gave it; empty where it gets the diagnosis'
+    stays: str = ""  # that it keeps the numbers that identification gave it; empty where it gets the diagnosis'
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +169,8 @@ def by_evidence(
 ) -> Judgement:
     """Judge effects on motor torque as the diagnosis does: whoever it names is taken, with its numbers.
 
-    A law that identification chose keeps its own where the diagnosis' leave more: it is there, whichever of the two tells it better.
+    What identification chose in the same recordings keeps its own, which were fitted together with all else that the model has, and is judged
+    no more.
     """
     judge.progress("estimating what was asked for, beside every effect of the catalogue")
     recordings = Recordings(replace(judge.campaign.meta, joints=judge.robot.joints), tuple(judge.campaign.trials()))
@@ -183,19 +185,15 @@ def by_evidence(
         plain = dict(first)
     else:
         _, _, plain = tried.beside([])
-    found, refused, asked, stays = list(answer.found), dict[str, str](), dict[str, Alone](), dict[str, str]()
+    found, refused, asked = list(answer.found), dict[str, str](), dict[str, Alone]()
+    stays = {e.fitted.label for e in found} & set(chosen)
     # what judges leaves the laws in question that identification chose; the model without friction that is added has them
     _, _, without = tried.beside([e for e in found if e.name not in rubbing])
     while True:
-        more, taken, after = tried.beside(found, stays)
-        laws = [] if force else [e for e in found if e.name in rubbing]
+        more, taken, after = tried.beside(found)
+        laws = [] if force else [e for e in found if e.name in rubbing and e.fitted.label not in stays]
         errors = _torque(without, joints), _torque(after, joints)
-        theirs = [x for x in chosen if x not in stays]
-        worse = raised(judge.robot, [e.name for e in laws], errors, theirs, "on held-out data")
-        of_the_model = [e for e in laws if e.name in worse and e.name in theirs]
-        if of_the_model:
-            stays |= {e.name: worse[e.name] for e in of_the_model}
-            continue
+        worse = raised(judge.robot, [e.name for e in laws], errors, chosen, "on held-out data")
         for e in () if worse else laws:
             label = e.fitted.label
             asked[label] = asked.get(label) or alone(judge.model, judge.campaign, e.fitted)
@@ -216,11 +214,9 @@ def by_evidence(
         sides = (first or plain if mine[0] is answer.found[0] else after), after
         a, b = (_with_torque(x, joints, row) for x, row in zip(sides, (mine[0].before, mine[-1].after), strict=True))
         why = refused.get(name, "")
-        judged.append(
-            Judged(
-                name, a, b, not why, entry(get(name.partition(":")[0])), why, in_model=name in chosen, stays=stays.get(name, "")
-            )
-        )
+        unchanged = STAYS if all(e.fitted.label in stays for e in mine) else ""
+        enters = entry(get(name.partition(":")[0]))
+        judged.append(Judged(name, a, b, not why, enters, why, in_model=name in chosen, stays=unchanged))
     return Judgement(tuple(judged), start, more, taken, answer.words)
 
 
@@ -231,20 +227,20 @@ class _Trials:
     judge: Judge
     settings: Settings
     chosen: tuple[str, ...] | None
-    _known: dict[tuple[tuple[str, bool], ...], _Tried] = field(default_factory=dict)
+    _known: dict[tuple[str, ...], _Tried] = field(default_factory=dict)
 
-    def beside(self, added: Sequence[Estimate], stays: Container[str] = ()) -> _Tried:
-        """The model with what is ``added``, with the numbers of its estimate; what ``stays``, by label, keeps the model's own, beside the other
-        laws that it has there."""
-        which = tuple((e.fitted.label, e.fitted.label in stays) for e in added)
+    def beside(self, added: Sequence[Estimate]) -> _Tried:
+        """The model with what is ``added``, with the numbers of its estimate, or the model's own and its other laws there of what it has."""
+        which = tuple(e.fitted.label for e in added)
         if which not in self._known:
-            fitted = [e.fitted for e in added if e.fitted.label not in stays]
-            own_numbers = [f for f in self.judge.model.effects if f.label in [e.fitted.label for e in added] and f.label in stays]
+            has = set(which) & set(self.chosen or ())
+            fitted = [e.fitted for e in added if e.fitted.label not in has]
             around = self.settings
             if self.chosen is not None:
-                around = retained_elsewhere(around, [x for x in self.chosen if x not in stays], fitted, self.judge.robot)
+                around = retained_elsewhere(around, [x for x in self.chosen if x not in has], fitted, self.judge.robot)
             more = replace(around, effects=(*self.settings.effects, *dict.fromkeys(e.name for e in added)))
-            taken = (*retained_effects(self.judge.model), *fitted, *own_numbers)
+            kept = [f for f in self.judge.model.effects if f.label in has]
+            taken = (*retained_effects(self.judge.model), *fitted, *kept)
             self._known[which] = more, taken, self.judge.simulated(more, taken)
         return self._known[which]
 
