@@ -239,8 +239,8 @@ class _Trials:
             if self.chosen is not None:
                 around = retained_elsewhere(around, [x for x in self.chosen if x not in has], fitted, self.judge.robot)
             more = replace(around, effects=(*self.settings.effects, *dict.fromkeys(e.name for e in added)))
-            kept = [f for f in self.judge.model.effects if f.label in has]
-            taken = (*retained_effects(self.judge.model), *fitted, *kept)
+            retained = [f for f in self.judge.model.effects if f.label in has]
+            taken = (*retained_effects(self.judge.model), *fitted, *retained)
             self._known[which] = more, taken, self.judge.simulated(more, taken)
         return self._known[which]
 
