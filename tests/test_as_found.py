@@ -117,30 +117,38 @@ def test_one_motion_is_held_out_in_time_with_a_guard(motion: Recording) -> None:
     assert min(gaps) >= GUARD - 0.02
 
 
-def test_the_loop_closes_on_one_file_without_phase_or_suite(tmp_path: Path, motion: Recording) -> None:
-    data = plain(tmp_path / "rec.parquet", motion)
+@pytest.mark.parametrize("friction", ["plain", "evidence"])
+def test_the_loop_closes_on_one_file_without_phase_or_suite(
+    tmp_path: Path, motion: Recording, friction: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the evidence identification has chosen the law already: then it keeps the model's numbers, and whoever adds it is told so."""
+    data = str(plain(tmp_path / "rec.parquet", motion))
     (tmp_path / "robot.urdf").write_text(arm().urdf)
     (tmp_path / "robot.json").write_text(json.dumps(dict(arm().datasheet)))
-    model, better = tmp_path / "0.model.json", tmp_path / "1.model.json"
-    assert (
-        main(
-            ["identify", "--robot", str(tmp_path / "robot.urdf"), "--data", str(data), "--out", str(model), "--friction", "plain"]
-        )
-        == 0
-    )
-    assert main(["compare", str(model), "--data", str(data)]) == 0
+    model, better, page = tmp_path / "0.model.json", tmp_path / "1.model.json", tmp_path / "added.html"
+    words = ["--data", data, "--out", str(model), "--friction", friction]
+    assert main(["identify", "--robot", str(tmp_path / "robot.urdf"), *words]) == 0
+    assert main(["compare", str(model), "--data", data]) == 0
     found, tried = tmp_path / "found.json", tmp_path / "tried.json"
-    assert main(["diagnose", str(model), "--data", str(data), "--json", str(found)]) == 0
+    assert main(["diagnose", str(model), "--data", data, "--json", str(found)]) == 0
     first = json.loads(found.read_text())["ranked_effects"][0]
     assert (first["effect"], first["joint"]) == ("load_coulomb", "shoulder")
-    words = [f"{first['effect']}:{first['joint']}", "--data", str(data), "--out", str(better), "--json", str(tried)]
+    label = f"{first['effect']}:{first['joint']}"
+    words = [label, "--data", data, "--out", str(better), "--json", str(tried), "--report", str(page)]
+    capsys.readouterr()
     assert main(["add", str(model), *words]) == 0
-    answer = json.loads(tried.read_text())
+    answer, said = json.loads(tried.read_text()), capsys.readouterr().out
     # what is named is taken, and the numbers are the same ones
     key = f"held_out_torque_rmse:{first['joint']}"
     assert answer["before"][key] == pytest.approx(first["error_before"], rel=1e-9)
     assert answer["after"][key] == pytest.approx(first["error_after"], rel=1e-9)
     assert "same motion" in answer["judged_on"]
+    numbers = {k: p["value"] for k, p in first["parameters"].items()}
+    has, gets = ({f.label: dict(f.values) for f in load_model(m).effects}.get(label) for m in (model, better))
+    assert gets == pytest.approx(numbers, rel=1e-9) and has == (gets if friction == "evidence" else None)
+    assert first["in_model"] == (has is not None)
+    for text in (said, page.read_text(), answer["judged"][0]["stays"]):
+        assert ("its numbers stay" in text) == (has is not None)
 
 
 def test_friction_laws_are_chosen_where_they_are_and_nowhere_else(motion: Recording) -> None:

@@ -37,7 +37,7 @@ SINGLE = (
 )
 LEAVES_TOO_MUCH = "it explains a part, and leaves too much to be the cause"
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
-ALREADY = " The model has it already, with these numbers: identification chose it."
+ALREADY = " The model has it already, with these numbers: identification chose it. The error before is without it."
 
 
 def diagnose(

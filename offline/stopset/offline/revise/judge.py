@@ -38,7 +38,7 @@ _Tried = tuple[
     Settings, tuple[Fitted, ...], dict[str, float]
 ]  # what to identify a revision with, its effects, its held-out errors
 NO_TRACE = "the data show no trace of it, so there are no numbers to add"
-STAYS = "identification chose it in these recordings, beside all else: the model has it already, and its numbers stay"
+STAYS = "identification chose it in these recordings, beside all else: the model has it already, and its numbers stay; errors before are without it"
 
 
 @dataclass(frozen=True, slots=True)
