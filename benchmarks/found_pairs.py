@@ -242,15 +242,19 @@ def judged(found: Diagnosis, case: Case, robot: Robot, joint: int) -> dict[str, 
     }  # fmt: skip
 
 
+def called(name: str, arm: str, seed: int) -> Case:
+    """The case of a name; ``drawn``, ``weeks``: one drawn for an arm."""
+    case = next((c for c in CASES if c.name == name), None) or drawn(seed, load_robot(arm).n)
+    return weeks_later(case, seed) if name == "weeks" else case
+
+
 def one(job: tuple[str, str, int, Path]) -> str:
     """Asks one case, unless its answer is kept; ``job``: arm, name of the case (``drawn``, ``weeks``: one of those), seed, and where."""
     path, name, seed, out = job
     file = out / f"{Path(path).parent.name or path}_{seed}_{name.replace(' ', '_')}.json"
     if not file.exists():
-        case = next((c for c in CASES if c.name == name), None) or drawn(seed, load_robot(path).n)
-        case = weeks_later(case, seed) if name == "weeks" else case
         try:
-            answer = asked(path, case, seed)
+            answer = asked(path, called(name, path, seed), seed)
         except StopsetError as error:  # a refusal is an answer, too
             answer = {"case": name, "right": False, "false": [], "verdict": f"{type(error).__name__}: {error}", "named": []}
         file.write_text(json.dumps(answer, default=str))

@@ -9,6 +9,7 @@ identification, and of a diagnosis of these names only.  What contradicts what t
 - *numbers*: an effect's numbers differ by more than a part in a million; *errors*: its held-out error before and after does.
 
     python benchmarks/one_answer.py simulated ARMS... --out OUT [--seed 300] [--only CASE,...]
+    python benchmarks/one_answer.py simulated ARMS... --out OUT --seed 300 --drawn 24         (as `found_pairs.py ask --drawn 24 --weeks`)
     python benchmarks/one_answer.py real FOLDERS... --out OUT        (robot.urdf, identification.parquet, others *.parquet)
     python benchmarks/one_answer.py count --out OUT
 
@@ -122,10 +123,10 @@ def _asked_alone(model: Model, data: Recordings, named: Sequence[Ranked], whole:
 
 
 def simulated(arm: str, name: str, seed: int) -> dict[str, Any]:
-    """A case of `found_pairs`."""
-    from found_pairs import CASES, made
+    """A case of `found_pairs`, by its name or drawn."""
+    from found_pairs import called, made
 
-    robot, model, data, pair = made(arm, next(c for c in CASES if c.name == name), seed)
+    robot, model, data, pair = made(arm, called(name, arm, seed), seed)
     return contradictions(robot, model, data, own=not pair)
 
 
@@ -173,6 +174,9 @@ def main() -> None:
     parser.add_argument("--arm", default="lwa4p", help="shipped arm of a real folder without robot.urdf")
     parser.add_argument("--most", type=int, help="names of a real recording asked for one by one (default: all)")
     parser.add_argument("--only", default="", help="cases whose name begins so, comma-separated")
+    parser.add_argument(
+        "--drawn", type=int, default=0, help="so many cases drawn at random instead, with what weeks and loggers add"
+    )
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -180,13 +184,14 @@ def main() -> None:
         from found_pairs import CASES
 
         only = tuple(args.only.split(","))
-        for k, case in enumerate(c for c in CASES if c.name.startswith(only)):
+        names = args.drawn * ["weeks"] or [c.name for c in CASES if c.name.startswith(only)]
+        for k, name in enumerate(names):
             arm, seed = args.where[k % len(args.where)], args.seed + 7 * k
-            file = args.out / f"{Path(arm).stem}_{seed}_{case.name.replace(' ', '_')}.json"
+            file = args.out / f"{Path(arm).stem}_{seed}_{name.replace(' ', '_')}.json"
             if file.exists():
                 continue
             try:
-                answer = simulated(arm, case.name, seed)
+                answer = simulated(arm, name, seed)
             except StopsetError as error:
                 answer = {"verdict": f"{type(error).__name__}: {error}"}
             file.write_text(json.dumps(answer, default=str))
