@@ -128,8 +128,8 @@ def _revision(
 ) -> tuple[Identification, Model | None, Refused]:
     """The new revision, the model of the same recordings without what is added (None: no sets enclose them), and why it is refused.
 
-    What is added is to answer for the widths, not friction that the evidence happens to choose otherwise beside it: a revision
-    that is wider is identified again with laws among those that there are without it.
+    What is added is to answer for the widths, not friction or an order that happen to be chosen otherwise beside it: a revision that is
+    wider is identified again with laws among those that there are without it, and of the order that it is of then.
     """
     robot = model.robot.as_described
 
@@ -147,13 +147,19 @@ def _revision(
     progress("identifying the new revision")
     found, refused = revision(verdict.settings)
     chosen = () if without is None else tuple(without.provenance.get("chosen", ()))
-    if refused.why and not set(found.model.provenance.get("chosen", ())) <= set(chosen):
-        progress("identifying it with the friction that there is without it")
-        settings = replace(verdict.settings, friction_among=chosen)
-        found, refused = revision(settings)
+    order = verdict.settings.order if without is None else _same_order(found.model, without, verdict.settings)
+    if refused.why and (order != verdict.settings.order or not set(found.model.provenance.get("chosen", ())) <= set(chosen)):
+        progress("identifying it with the friction that there is without it, and of the same order")
+        found, refused = revision(replace(verdict.settings, friction_among=chosen, order=order))
         if not refused.why and not force:
             refused = next(_refused_alone(model, campaign, verdict, chosen), refused)
     return found, without, refused
+
+
+def _same_order(found: Model, without: Model, settings: Settings) -> int | None:
+    """The order to ask for so that a revision is of the order that there is without what is added; None: as it is chosen."""
+    a, b = found.abstraction, without.abstraction
+    return b.order if a.kind == b.kind and a.order != b.order else settings.order
 
 
 def _refused_alone(model: Model, campaign: Campaign, verdict: Judgement, chosen: tuple[str, ...]) -> Iterator[Refused]:
