@@ -45,7 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--beside", action="store_true", help="tables: columns of one recording, row by row (q.csv tau.csv)")
     parser.add_argument("--degrees", action="store_true", help="tables: angles and speeds are in degrees")
-    parser.add_argument("--torque-constant", metavar="K,K,..", help="tables: torque per current of each joint, link side [N m/A]")
+    parser.add_argument(
+        "--torque-constant",
+        metavar="K,K,..",
+        help="tables: torque per current of each joint, link side [N m/A]; below 0 where it counts against the joint",
+    )
     add_output_options(parser)
 
 
