@@ -79,6 +79,7 @@ NOT_HERE = {  # line: reason, and the file or program whose absence is it
     "python benchmarks/found_limits.py": (MINUTES, ""),
     "python benchmarks/healthy_again.py": (MINUTES, ""),
     "python benchmarks/one_answer.py": (MINUTES, ""),
+    "python benchmarks/one_answer.py simulated lwa4p ROBOT --seed 171000 --drawn 24 --out FOLDER": (MINUTES, ""),
     "python benchmarks/real_robots.py FOLDER --markdown TABLE.md": (MINUTES, ""),
     "python benchmarks/revisions.py --robot lwa4p --data open_loop.parquet": (MINUTES, ""),
     "python benchmarks/violation_classes.py": (MINUTES, ""),
