@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -81,14 +79,14 @@ def test_add_and_diagnosis_ask_by_one_rule(simulated: tuple[str, Model, Recordin
     else:
         assert "would rise from" in why and f"{OWN} there already" in why
 
-    def held_out(self: Any, settings: Settings, known: Sequence[Fitted]) -> dict[str, float]:
-        keys = (f"{key}{at}" for key in judging.HELD_OUT for at in ("", *(f":{j}" for j in model.joints)))
-        return dict.fromkeys(keys, 1.0)
+    keys = [f"{key}{at}" for key in judging.HELD_OUT for at in ("", *(f":{j}" for j in model.joints))]
 
     error = np.ones(model.n)
     found = SimpleNamespace(name=OTHER, before=error, after=0.5 * error, fitted=quadratic)
     monkeypatch.setattr(judging, "estimates", lambda *args: SimpleNamespace(found=(found,), before=error, words="all"))
-    monkeypatch.setattr(judging.Judge, "simulated", held_out)
+    monkeypatch.setattr(judging.Judge, "fitted", lambda *args: SimpleNamespace(chosen=()))
+    monkeypatch.setattr(judging.Judge, "simulated", lambda *args: dict.fromkeys(keys, 1.0))
+    monkeypatch.setattr(judging.Judge, "left", lambda *args: iter([dict.fromkeys(model.joints, 1.0)]))
     judge = judging.Judge(model, model.robot.as_described, campaign(data), None, silent)  # type: ignore[arg-type]
     (judged,) = judging.by_evidence(judge, Settings(), [OTHER], None, force=False).judged
     assert judged.why == why and judged.helps == (not why)

@@ -224,13 +224,16 @@ def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[..., judging.Judgemen
     number, and where it is told to be ``worse`` with that, too."""
     joints = ("turn", "lift")
 
-    def errors(lift: float) -> dict[str, float]:
-        each = {f"{key}:{j}": (lift if j == "lift" else 1.0) for key in judging.HELD_OUT for j in joints}
+    def fitted(self: Any, settings: Settings, known: Sequence[Fitted]) -> Any:
+        theirs = any(f.values["x"] != 2.0 for f in known)
+        return SimpleNamespace(chosen=(), lift=self.campaign.theirs if theirs else 1.1 if known and self.campaign.worse else 1.0)
+
+    def simulated(self: Any, part: Any) -> dict[str, float]:
+        each = {f"{key}:{j}": (part.lift if j == "lift" else 1.0) for key in judging.HELD_OUT for j in joints}
         return {**dict.fromkeys(judging.HELD_OUT, 1.0), **each}
 
-    def simulated(self: Any, settings: Settings, known: Sequence[Fitted]) -> dict[str, float]:
-        theirs = any(f.values["x"] != 2.0 for f in known)
-        return errors(self.campaign.theirs if theirs else 1.1 if known and self.campaign.worse else 1.0)
+    def left(self: Any, part: Any, settings: Settings) -> Any:
+        return iter([{"turn": 1.0, "lift": part.lift}] * 2)
 
     def judged(name: str, *, force: bool = False, worse: bool = False, theirs: float = 1.1) -> judging.Judgement:
         effect, _, joint = name.partition(":")
@@ -247,7 +250,8 @@ def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[..., judging.Judgemen
         judge = judging.Judge(model, robot, campaign, None, silent)  # type: ignore[arg-type]
         return judging.by_evidence(judge, Settings(), [name], None, force=force)
 
-    monkeypatch.setattr(judging.Judge, "simulated", simulated)
+    for name, fake in (("fitted", fitted), ("simulated", simulated), ("left", left)):
+        monkeypatch.setattr(judging.Judge, name, fake)
     return judged
 
 

@@ -6,7 +6,7 @@ these it may explain nothing more, or take the place of one that explains more: 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -44,9 +44,6 @@ def alone(model: Model, campaign: Campaign, f: Fitted, among: tuple[str, ...] | 
 
     Alone whatever it is named or added with: each law speaks against itself.  ``among``: as in `Alone`.  Every error is an rms in N m.
 
-    It must leave more with the laws as they are and with laws behind the torque's filter.  About a reversal either errs: a true Stribeck
-    effect of 0.4 left 0.355 N m for 0.332 beside torque without its peaks, 0.331 for 0.327 behind the filter; and behind it a true cubic
-    law 0.073 for 0.071, as the step of dry friction rings at an instant that stamps do not tell, 0.073 for 0.074 beside it.
     """
     chosen = tuple(model.provenance.get("chosen", ()))
     if not in_question(model, campaign.meta, [f.label]):
@@ -63,14 +60,9 @@ def alone(model: Model, campaign: Campaign, f: Fitted, among: tuple[str, ...] | 
         revision = settings if among is None else replace(settings, friction_among=among)
         part = fit_nominal(_learning(replace(run, settings=revision), model), given)
         mine = NominalPart(model.robot, model.rotor, model.effects, _plain_damping(model, part), (), taken_out=_taken_out(model))
-        first = ""
-        for filtered in (False, True):
-            errors = _left(run, mine, filtered=filtered), _left(run, part, filtered=filtered)
-            why = raised(model.robot, [f.label], errors, chosen, "in these recordings").get(f.label, "")
-            if not why:
-                return Alone("", among), part
-            first = first or why
-        return Alone(first, among), part
+        looks = zip(left(run, mine), left(run, part), strict=True)
+        worse = raised(model.robot, [f.label], looks, chosen, "in these recordings")
+        return Alone(worse.get(f.label, ""), among), part
 
     answer, part = asked(among)
     if answer.why and among is None and not {g.name for g in part.chosen} <= set(chosen):
@@ -89,19 +81,40 @@ def in_question(model: Model, meta: Meta, names: Sequence[str]) -> list[str]:
     return [x for x in names if x not in chosen and levelled(x, model.robot)]
 
 
-def raised(robot: Robot, names: Sequence[str], errors: Errors, chosen: Sequence[str], where: str) -> dict[str, str]:
-    """The friction among ``names`` with which more torque is left of its joint than without, each with the reason.
+def raised(robot: Robot, names: Sequence[str], looks: Iterable[Errors], chosen: Sequence[str], where: str) -> dict[str, str]:
+    """The friction among ``names`` with which more torque is left of its joint than without in every one of ``looks``, each with the reason.
 
     ``chosen``: laws that identification chose; ``where``: the errors are of, in words.  A joint whose error is not known is not asked.
     """
-    out = {}
-    for name in names:
-        for j in parse_effect(name, robot)[1] if levelled(name, robot) else ():
-            a, b = (x.get(j, float("nan")) for x in errors)
-            if b > (1.0 + limit.RISES) * a:
-                out[name] = _worse_words(name, j, (a, b), chosen, where)
-                break
-    return out
+    asked, first = [x for x in names if levelled(x, robot)], dict[str, str]()
+    for errors in looks:
+        worse = {x: why for x in asked if (why := _rise(robot, x, errors, chosen, where))}
+        asked, first = list(worse), worse | first
+        if not asked:
+            break
+    return {x: first[x] for x in asked}
+
+
+def _rise(robot: Robot, name: str, errors: Errors, chosen: Sequence[str], where: str) -> str:
+    """Why a law is refused by one look; empty where it is not."""
+    for j in parse_effect(name, robot)[1]:
+        a, b = (x.get(j, float("nan")) for x in errors)
+        if b > (1.0 + limit.RISES) * a:
+            return _worse_words(name, j, (a, b), chosen, where)
+    return ""
+
+
+def left(run: Run, part: NominalPart) -> Iterator[dict[str, float]]:
+    """[N m] what a nominal model leaves of each joint in all recordings of a run: with its laws as they are, then behind the torque's filter.
+
+    Both, for about a reversal either errs: a true Stribeck effect of 0.4 left 0.355 N m for 0.332 beside torque without its peaks, 0.331 for
+    0.327 behind the filter; and behind it a true cubic law 0.073 for 0.071, as the step of dry friction rings at an instant that stamps do
+    not tell, 0.073 for 0.074 beside it.
+    """
+    body = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
+    trials = own_in_time(run, body, part.taken_out).trials
+    for filtered in (False, True):
+        yield dict(zip(part.robot.joints, rms_left(body, trials, filtered=filtered).tolist(), strict=True))
 
 
 def retained_effects(model: Model) -> tuple[Fitted, ...]:
@@ -145,13 +158,6 @@ def _learning(run: Run, model: Model) -> Run:
 
 def _taken_out(model: Model) -> tuple[dict[str, Any], ...]:
     return tuple(model.provenance.get("taken_out", ()))
-
-
-def _left(run: Run, part: NominalPart, *, filtered: bool) -> dict[str, float]:
-    """[N m] what a nominal model leaves of each joint in all recordings of a run; ``filtered``: its laws behind the torque's filter, too."""
-    body = TorqueModel(part.robot, part.rotor, part.effects, part.abstraction)
-    left = rms_left(body, own_in_time(run, body, part.taken_out).trials, filtered=filtered)
-    return dict(zip(part.robot.joints, left.tolist(), strict=True))
 
 
 def _plain_damping(model: Model, part: NominalPart) -> Abstraction:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 from stopset.effects.base import Fitted
 from stopset.offline.abstraction.metrics import joint_figures
-from stopset.offline.abstraction.nominal_part import fit_nominal, pairs_of, roller
+from stopset.offline.abstraction.nominal_part import NominalPart, fit_nominal, pairs_of, roller
 from stopset.offline.campaign.hold_out import hold_out
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import Survey, survey
 from stopset.offline.campaign.trials import Source
+from stopset.offline.diagnose.as_added import left
 from stopset.offline.nominal.low_pass import recorded_low_pass
 from stopset.recording import Meta
 from stopset.robot import Robot
@@ -39,13 +41,21 @@ def halves(campaign: Campaign) -> Halves:
     return Halves(fitted, learnt, judging, judged, division.words)
 
 
-def nominal_figures(
-    robot: Robot, meta: Meta, parts: Halves, settings: Settings, known: tuple[Fitted, ...] = ()
-) -> dict[str, dict[str, Any]]:
-    """Errors per joint, on what judges, of a nominal model fitted to the rest alone."""
+def nominal_of(robot: Robot, meta: Meta, parts: Halves, settings: Settings, known: tuple[Fitted, ...] = ()) -> NominalPart:
+    """The nominal model of what does not judge alone."""
     found = parts.learnt
     if meta.effort != "compensated_torque":
         found = replace(found, low_pass=recorded_low_pass(robot, found.sample))
-    nominal = fit_nominal(Run(robot, meta, parts.fitted, found, settings), known)
+    return fit_nominal(Run(robot, meta, parts.fitted, found, settings), known)
+
+
+def nominal_figures(nominal: NominalPart, meta: Meta, parts: Halves) -> dict[str, dict[str, Any]]:
+    """Errors per joint of a nominal model on what judges."""
     pairs = pairs_of(parts.judging, parts.judged, nominal, meta.effort)
-    return joint_figures(pairs, nominal.abstraction, robot.joints, parts.judged.dt, roller(nominal, meta.effort, parts.judged))
+    joints, roll = nominal.robot.joints, roller(nominal, meta.effort, parts.judged)
+    return joint_figures(pairs, nominal.abstraction, joints, parts.judged.dt, roll)
+
+
+def nominal_left(nominal: NominalPart, meta: Meta, parts: Halves, settings: Settings) -> Iterator[dict[str, float]]:
+    """[N m] what a nominal model leaves of each joint where it is judged, as `stopset.offline.diagnose.as_added.left` looks at it."""
+    return left(Run(nominal.robot, meta, parts.judging, parts.judged, settings), nominal)

@@ -6,7 +6,7 @@ judged by simulation: the nominal model with and without the effect is fitted on
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from stopset.effects import get
 from stopset.effects.base import Fitted
 from stopset.effects.selection import parse_effect
 from stopset.errors import RecordingError
+from stopset.offline.abstraction.nominal_part import NominalPart
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
@@ -27,16 +28,13 @@ from stopset.offline.diagnose.estimate import Estimate, estimates
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.diagnose.lacking import rises
 from stopset.offline.diagnose.question import question
-from stopset.offline.revise.held_out import Halves, nominal_figures
+from stopset.offline.revise.held_out import Halves, nominal_figures, nominal_left, nominal_of
 from stopset.progress import Progress
 from stopset.recording import Recordings
 from stopset.robot import Robot
 
 HELD_OUT = ("held_out_torque_rmse", "held_out_velocity_rmse", "held_out_position_rmse")
 SHIFTS = frozenset({"inertia", "input_gain"})  # where an effect enters that a free fit would absorb
-_Tried = tuple[
-    Settings, tuple[Fitted, ...], dict[str, float]
-]  # what to identify a revision with, its effects, its held-out errors
 NO_TRACE = "the data show no trace of it, so there are no numbers to add"
 STAYS = "identification chose it in these recordings, beside all else: the model has it already, and its numbers stay; errors before are without it"
 
@@ -80,9 +78,17 @@ class Judge:
     halves: Halves
     progress: Progress
 
-    def simulated(self, settings: Settings, known: tuple[Fitted, ...]) -> dict[str, float]:
-        """Errors of the nominal model fitted to one part of the recordings, on the other."""
-        return _flat(nominal_figures(self.robot, self.campaign.meta, self.halves, settings, known))
+    def fitted(self, settings: Settings, known: tuple[Fitted, ...]) -> NominalPart:
+        """The nominal model of one part of the recordings."""
+        return nominal_of(self.robot, self.campaign.meta, self.halves, settings, known)
+
+    def simulated(self, part: NominalPart) -> dict[str, float]:
+        """Its errors on the other."""
+        return _flat(nominal_figures(part, self.campaign.meta, self.halves))
+
+    def left(self, part: NominalPart, settings: Settings) -> Iterator[dict[str, float]]:
+        """The torque [N m] that it leaves there of each joint, looked at in more than one way."""
+        return nominal_left(part, self.campaign.meta, self.halves, settings)
 
 
 def by_simulation(
@@ -98,12 +104,12 @@ def by_simulation(
     order = [r for name in names if name not in raised for r in claims[name]]
     steps = dict(zip((r.label for r in order), found.steps(order) if found else (), strict=True))
     at_first = {r.joints[0]: steps[r.label] for r in reversed(order)}
-    errors = start = _at_joints(first or judge.simulated(settings, ()), at_first, 0)
+    errors = start = _at_joints(first or judge.simulated(judge.fitted(settings, ())), at_first, 0)
     judged = []
     for name in names:
         judge.progress(f"judging {name} on held-out data")
         more = replace(settings, effects=(*settings.effects, name))
-        after = judge.simulated(more, ())
+        after = judge.simulated(judge.fitted(more, ()))
         effect, joints = parse_effect(name, judge.robot)
         if name in raised:
             steps_there, why = raised[name]
@@ -181,19 +187,13 @@ def by_evidence(
     judge.progress("simulating without and with it")
     rubbing = [n for n in names if levelled(n, judge.robot)]
     tried = _Trials(judge, settings, chosen if same else None)
-    if first and not (rubbing and answer.found):
-        plain = dict(first)
-    else:
-        _, _, plain = tried.beside([])
+    plain = dict(first) if first else tried.beside([]).errors
     found, refused, asked = list(answer.found), dict[str, str](), dict[str, Alone]()
     stays = {e.fitted.label for e in found} & set(chosen)
-    # what judges leaves the laws in question that identification chose; the model without friction that is added has them
-    _, _, without = tried.beside([e for e in found if e.name not in rubbing])
     while True:
-        more, taken, after = tried.beside(found)
         laws = [] if force else [e for e in found if e.name in rubbing and e.fitted.label not in stays]
-        errors = _torque(without, joints), _torque(after, joints)
-        worse = raised(judge.robot, [e.name for e in laws], errors, chosen, "on held-out data")
+        # what judges leaves the laws in question that identification chose; the model without friction that is added has them
+        trial, worse = tried.against([e for e in answer.found if e.name not in rubbing], found, laws)
         for e in () if worse else laws:
             label = e.fitted.label
             asked[label] = asked.get(label) or alone(judge.model, judge.campaign, e.fitted)
@@ -202,22 +202,37 @@ def by_evidence(
             break
         refused |= worse
         found = [e for e in found if e.name not in worse]
-    if any(asked[e.fitted.label].among is not None for e in laws):
+    more, after = trial.settings, trial.errors
+    if trial.alike or any(asked[e.fitted.label].among is not None for e in laws):
         more = replace(more, friction_among=chosen)
-    start = _with_torque(first or plain, joints, answer.before)
+    start = _with_torque(plain, joints, answer.before)
     judged = []
     for name in names:
         mine = [e for e in answer.found if e.name == name]
         if not mine:
             judged.append(Judged(name, start, start, helps=False, enters="", why=NO_TRACE))
             continue
-        sides = (first or plain if mine[0] is answer.found[0] else after), after
+        sides = (plain if mine[0] is answer.found[0] else after), after
         a, b = (_with_torque(x, joints, row) for x, row in zip(sides, (mine[0].before, mine[-1].after), strict=True))
         why = refused.get(name, "")
         unchanged = STAYS if all(e.fitted.label in stays for e in mine) else ""
         enters = entry(get(name.partition(":")[0]))
         judged.append(Judged(name, a, b, not why, enters, why, in_model=name in chosen, stays=unchanged))
-    return Judgement(tuple(judged), start, more, taken, answer.words)
+    return Judgement(tuple(judged), start, more, trial.effects, answer.words)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    """What to identify a revision with, its effects, its nominal model of one part of the recordings, errors on the other.
+
+    ``alike``: identification chose among the laws that are there without what is added only.
+    """
+
+    settings: Settings
+    effects: tuple[Fitted, ...]
+    part: NominalPart
+    errors: dict[str, float]
+    alike: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,27 +242,51 @@ class _Trials:
     judge: Judge
     settings: Settings
     chosen: tuple[str, ...] | None
-    _known: dict[tuple[str, ...], _Tried] = field(default_factory=dict)
+    _known: dict[tuple[tuple[str, ...], tuple[str, ...] | None], _Tried] = field(default_factory=dict)
 
-    def beside(self, added: Sequence[Estimate]) -> _Tried:
-        """The model with what is ``added``, with the numbers of its estimate, or the model's own and its other laws there of what it has."""
-        which = tuple(e.fitted.label for e in added)
-        if which not in self._known:
-            has = set(which) & set(self.chosen or ())
+    def beside(self, added: Sequence[Estimate], among: tuple[str, ...] | None = None) -> _Tried:
+        """The model with what is ``added``, with the numbers of its estimate, or the model's own and its other laws there of what it has.
+
+        ``among``: the laws of which identification may choose, None: any at the joints of what is added.
+        """
+        key = tuple(e.fitted.label for e in added), among
+        if key not in self._known:
+            has = set(key[0]) & set(self.chosen or ())
             fitted = [e.fitted for e in added if e.fitted.label not in has]
             around = self.settings
             if self.chosen is not None:
                 around = retained_elsewhere(around, [x for x in self.chosen if x not in has], fitted, self.judge.robot)
             more = replace(around, effects=(*self.settings.effects, *dict.fromkeys(e.name for e in added)))
+            more = more if among is None else replace(more, friction_among=among)
             retained = [f for f in self.judge.model.effects if f.label in has]
             taken = (*retained_effects(self.judge.model), *fitted, *retained)
-            self._known[which] = more, taken, self.judge.simulated(more, taken)
-        return self._known[which]
+            part = self.judge.fitted(more, taken)
+            self._known[key] = _Tried(more, taken, part, self.judge.simulated(part), among is not None)
+        return self._known[key]
 
+    def against(
+        self, plain: Sequence[Estimate], added: Sequence[Estimate], laws: Sequence[Estimate]
+    ) -> tuple[_Tried, dict[str, str]]:
+        """The model with what is ``added``, held against that with the ``plain`` alone: which of the ``laws`` are refused, and why.
 
-def _torque(simulated: Mapping[str, float], joints: Sequence[str]) -> dict[str, float]:
-    """The torque error [N m] of each joint."""
-    return {j: simulated[f"{HELD_OUT[0]}:{j}"] for j in joints}
+        Each is to answer for what it raises itself, not for another law that is chosen beside it and not without: of a hidden Stribeck
+        friction of one part of a recording, a friction of the load was chosen beside the true one, and left 2 % more of the other part.
+        """
+        trial = self.beside(added)
+        if not laws:
+            return trial, {}
+        without = self.beside(plain)
+        worse = self._raised(without, trial, laws)
+        there = tuple(g.name for g in without.part.chosen)
+        if worse and self.chosen is not None and not {g.name for g in trial.part.chosen} <= set(there):
+            trial = self.beside(added, there)
+            worse = self._raised(without, trial, laws)
+        return trial, worse
+
+    def _raised(self, without: _Tried, trial: _Tried, laws: Sequence[Estimate]) -> dict[str, str]:
+        """`raised` on what is held out."""
+        looks = zip(self.judge.left(without.part, self.settings), self.judge.left(trial.part, self.settings), strict=True)
+        return raised(self.judge.robot, [e.name for e in laws], looks, self.chosen or (), "on held-out data")
 
 
 def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:
