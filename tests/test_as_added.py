@@ -15,7 +15,7 @@ from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import campaign_of
 from stopset.offline.description import load_robot
 from stopset.offline.diagnose import diagnose_model
-from stopset.offline.diagnose.as_added import alone
+from stopset.offline.diagnose.as_added import alone, raised
 from stopset.offline.revise import judge as judging
 from stopset.offline.revise.revise import add
 from stopset.progress import silent
@@ -100,6 +100,32 @@ def test_a_true_law_where_identification_chose_none_is_named_and_taken() -> None
     assert [r.label for r in found.ranked] == ["stribeck:arm_2_joint"]
     revised = add(model, ["stribeck:arm_2_joint"], campaign(data))
     assert revised.model is not None and "stribeck:arm_2_joint" in [f.label for f in revised.model.effects]
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+@pytest.mark.parametrize(("arm", "seed"), [("ur10e/robot.urdf", 172063), ("lwa4p", 171098)])
+def test_a_true_law_is_not_refused_for_what_else_motions_kept_back_leave(shared_data, arm: str, seed: int) -> None:  # type: ignore[no-untyped-def]
+    """R-1546: `add` refused two true Stribeck frictions of loaded joints: one for 3.7 to 3.9 N m of momentum, nearly all of which is the constant
+    mass matrix of the linear abstraction, one for a friction of the load that was chosen in one part of the recordings beside it."""
+    path = str(shared_data(arm)) if arm.endswith(".urdf") else arm
+    case = found_pairs.weeks_later(found_pairs.drawn(seed, 6), seed)
+    _, model, data, _ = found_pairs.made(path, case, seed)
+    (named,) = diagnose_model(model, data)[0].ranked
+    assert named.effect == "stribeck"
+    (judged,) = add(model, [named.label], campaign(data)).judged
+    assert judged.why == "" and judged.helps
+
+
+def test_more_must_be_left_in_every_look() -> None:
+    robot, law, other = load_robot("lwa4p"), "stribeck:arm_2_joint", "load_coulomb:arm_2_joint"
+    less, same, more = ({"arm_2_joint": x} for x in (0.9, 1.0, 1.1))
+    assert "from 1 to 1.1 N m here" in raised(robot, [law], iter([(same, more), (less, same)]), (), "here")[law], (
+        "the first is told"
+    )
+    assert not raised(robot, [law], iter([(same, more), (same, less)]), (), "here")
+    assert not raised(robot, [law], iter([(same, less)]), (), "here")
+    assert set(raised(robot, [law, other], iter([(same, more)] * 2), (), "here")) == {law, other}
 
 
 @pytest.mark.shared

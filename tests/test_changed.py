@@ -44,6 +44,7 @@ from test_hidden_effects import ARM
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import as_found
+from found_pairs import ONLY_ASKED
 
 LATER = 103  # other motions, other noise, other scatter of friction
 WORN, DRAGGING = (0, 2), 1  # joints whose friction rises, and one whose brake does not open wholly
@@ -74,7 +75,7 @@ def pair() -> Pair:
     healthy = prepare(robot_from_text(ARM), ["none"], 3, "short", cad="wrong")
     recordings = recorded(healthy)
     campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
-    return Pair(healthy, identified(healthy.robot, campaign, Settings(), silent, None, (), None).model)
+    return Pair(healthy, identified(healthy.robot, campaign, ONLY_ASKED, silent, None, (), None).model)
 
 
 def test_of_a_healthy_arm_nothing_is_said(pair: Pair) -> None:
@@ -118,7 +119,7 @@ def program() -> Pair:
     healthy = prepare(robot_from_text(ARM), ["none"], 7, "short", cad="wrong")
     recordings = _logged(healthy, 107)
     campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
-    return Pair(healthy, identified(healthy.robot, campaign, Settings(), silent, None, (), None).model)
+    return Pair(healthy, identified(healthy.robot, campaign, ONLY_ASKED, silent, None, (), None).model)
 
 
 def _logged(s: Scenario, seed: int, late: float = 0.0) -> Recordings:
@@ -143,7 +144,7 @@ def test_what_a_model_leaves_of_its_own_recordings_too_is_no_change() -> None:
     """
     s = prepare(robot_from_text(ARM), ["none"], 1, "short", cad="wrong")
     first = _rough(_logged(s, 101), 1.0)
-    model = identified(s.robot, Campaign(first.meta, lambda: iter(first.trials)), Settings(), silent, None, (), None).model
+    model = identified(s.robot, Campaign(first.meta, lambda: iter(first.trials)), ONLY_ASKED, silent, None, (), None).model
     again = _rough(_logged(s, 201), 1.0)
     asked = question(model, again)
     assert asked.known is not None and asked.known.as_before.all()
@@ -166,7 +167,7 @@ def test_of_a_healthy_real_arm_no_change_is_told(shared_data: Callable[[str], Pa
         return Recordings(replace(day.meta, sources=((name, name),)), tuple(day.trials[k] for k in motions))
 
     first = of("first", (4, 7, 10, 8))
-    model = identified(robot, Campaign(first.meta, lambda: iter(first.trials)), Settings(), silent, None, (), None).model
+    model = identified(robot, Campaign(first.meta, lambda: iter(first.trials)), ONLY_ASKED, silent, None, (), None).model
     for motions in ((11, 6, 1), (2, 13, 3)):
         found, _ = diagnose_model(model, of("later", motions))
         assert not found.ranked and not found.changed
@@ -179,7 +180,7 @@ def test_what_a_model_left_open_of_itself_is_no_load(seed: int) -> None:
     wrong = s.robot.with_parameters(s.robot.pi * np.array([1.0, 1.5, 0.6])[:, None])
     first = as_found.recorded(s, (8.0,), 100.0, as_found.Trouble(speed=0.3), seed + 100)
     first = replace(first, meta=replace(first.meta, sources=(("first.parquet", "first"),)))
-    model = identified(wrong, Campaign(first.meta, lambda: iter(first.trials)), Settings(), silent, None, (), None).model
+    model = identified(wrong, Campaign(first.meta, lambda: iter(first.trials)), ONLY_ASKED, silent, None, (), None).model
     later = as_found.recorded(s, as_found.ONE, 100.0, as_found.Trouble(), seed + 200)
     asked = question(model, replace(later, meta=replace(later.meta, sources=(("later.parquet", "later"),))))
     assert asked.known is not None and asked.known.left_open.shape[0] == 13 * model.n
@@ -220,7 +221,7 @@ def test_worn_gears_are_told_from_a_program_of_few_speeds(program: Pair) -> None
 def test_a_lag_of_all_joints_that_identification_took_out_is_told_and_no_name(program: Pair) -> None:
     late = _logged(program.scenario, 107, late=0.012)
     campaign = Campaign(late.meta, lambda: iter(late.trials))
-    model = identified(program.scenario.robot, campaign, Settings(), silent, None, (), None).model
+    model = identified(program.scenario.robot, campaign, ONLY_ASKED, silent, None, (), None).model
     found, _ = diagnose_model(model, late)
     assert found.verdict == "none" and not found.claims
     (out,) = found.taken_out

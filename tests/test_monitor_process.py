@@ -165,8 +165,7 @@ def test_killed_or_frozen_monitor_is_noticed(place: Place, tmp_path: Path) -> No
         assert ear.wait(lambda: any(e["nonce"] == "010203" for e in ear.echoes))
         monitor.send_signal(signal.SIGSTOP)
         # a machine that stood still before may have ended the proof first: what is asked is that the silence is told
-        assert ear.wait(lambda: consumer.consumer.why is Fault.SILENT, 3.0)
-        assert consumer.now is State.FAULT
+        assert ear.wait(lambda: (consumer.now, consumer.consumer.why) == (State.FAULT, Fault.SILENT), 3.0)
         ear.link.put("challenge", b"\4\5\6")
         time.sleep(0.3)
         assert not any(e["nonce"] == "040506" for e in ear.echoes), "a frozen monitor answers no nonce"

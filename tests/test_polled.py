@@ -62,6 +62,21 @@ def test_steps_tell_the_clock_of_the_robot(whole: Recordings, pace: float, deriv
             assert missed(out) < 0.5 * missed(made)
 
 
+@pytest.mark.parametrize(("stamped", "kind"), [(True, "uneven_readings"), (False, "dropped_samples")])
+def test_a_slower_logger_that_stamps_what_it_reads_has_lost_no_time(
+    whole: Recordings, tmp_path: Path, stamped: bool, kind: str
+) -> None:
+    """R-1548: of a small arm, read at 195 Hz while it told its state at some 230, samples were "lost and the stamps made up": an error."""
+    pace = 1.15
+    trials = [asked(r, k, pace) for k, r in enumerate(whole)]
+    if stamped:
+        trials = [replace(r, t=r.t[0] + pace * (r.t - r.t[0])) for r in trials]
+    write_recordings(tmp_path / "slow.parquet", whole.meta, trials)
+    found = inspect_recordings([tmp_path / "slow.parquet"])[0].findings
+    told = {f.kind: f.severity for f in found if f.kind in ("uneven_readings", "dropped_samples")}
+    assert told == {kind: "warning" if stamped else "error"}
+
+
 def test_most_trials_are_told(whole: Recordings) -> None:
     found = [on_its_clock(asked(r, k)) for k, r in enumerate(whole)]
     assert sum(r.again > 0 and r.skipped > 0 for r in found) > 0.8 * len(found)

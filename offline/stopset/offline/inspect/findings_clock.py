@@ -47,12 +47,7 @@ def clock(t: SignalSums, meta: Meta, *, dq_sound: bool = True) -> list[Finding]:
                     f"{t.repeated} samples repeat their predecessor in mid-motion",
                     "a new sample at every stamp", "the logger filled lost samples: record again or leave gaps", t.repeated)
         )  # fmt: skip
-    if dq_sound and t.jumps > max(2, NOTABLE_GAPS * t.samples):
-        out.append(
-            Finding("dropped_samples", "error" if t.jumps > 0.005 * t.samples else "warning", None,
-                    f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
-                    "steps of one period", "samples were lost and the stamps made up: record with real stamps", t.jumps)
-        )  # fmt: skip
+    out += _steps(t) if dq_sound else []
     if t.rounded:
         out.append(
             Finding("stamp_digits", "warning", None, f"stamps are printed to {t.rounded * 1e3:.3g} ms at a period of {period * 1e3:.3g} ms",
@@ -102,6 +97,25 @@ def held(rows: float) -> list[Finding]:
                 f"each reading of the robot stands in {rows:.3g} rows", "a row per reading",
                 "the logger writes faster than the robot answers: every command takes each reading once, at the robot's pace, and derives a dq "
                 "that was made from such rows anew; log every message once, with its own stamp", rows)
+    ]  # fmt: skip
+
+
+def _steps(t: SignalSums) -> list[Finding]:
+    """Steps of q of nearly two periods of dq: of samples that were lost, or of readings that are not as old as their stamps say."""
+    if t.jumps <= max(2, NOTABLE_GAPS * t.samples):
+        return []
+    if t.lost_under_stamps:
+        return [
+            Finding("dropped_samples", "error" if t.jumps > 0.005 * t.samples else "warning", None,
+                    f"{t.jumps} steps of q are whole multiples of what dq gives over one period",
+                    "steps of one period", "samples were lost and the stamps made up: record with real stamps", t.jumps)
+        ]  # fmt: skip
+    return [
+        Finding("uneven_readings", "warning", None,
+                f"{t.jumps} steps of q are nearly two periods of dq long and the others short of one, so that none is missing",
+                "readings as old as their stamps say",
+                "the logger takes what the robot told last, and the robot tells it at a pace of its own: a reading is up to a period off its "
+                "stamp, which the sets hold; log every message with its own stamp", t.jumps)
     ]  # fmt: skip
 
 

@@ -56,6 +56,7 @@ class SignalSums:
     jumps_of_q: list[Jump] = field(default_factory=list)
     repeated: int = 0  # samples that repeat all signals in the middle of a motion
     jumps: int = 0  # steps of q that dq does not explain, in multiples of a sample, between steps that it does
+    over: tuple[float, float] = (0.0, 0.0)  # [rad] by which all steps, and those, are longer than dq says
     twice: int = 0  # rows that the reader left out, as written twice
     unread: int = 0  # and as lacking numbers
     polled: tuple[int, int] = (0, 0)  # and as written again; with those that a logger passed over
@@ -92,6 +93,12 @@ class SignalSums:
         self.resolution, self.acceleration, self.slow, self.levels = np.full(n, np.inf), np.zeros(n), np.zeros(n), np.zeros(n)
         for name in ("range_q", "range_dq", "range_tau", "range_temp"):
             setattr(self, name, np.tile([np.inf, -np.inf], (n, 1)))
+
+    @property
+    def lost_under_stamps(self) -> bool:
+        """Whether the way in all is longer than the stamps by what `jumps` have too much, so that samples were lost; or each step as old as it
+        happened to be read."""
+        return self.over[0] > 0.5 * self.over[1]
 
     @property
     def moved(self) -> NDArray[np.bool_]:
@@ -163,7 +170,10 @@ class SignalSums:
         # a lost sample is one step too long between steps that are right; many in a row are a dq that does not follow
         alone = np.r_[True, follows[:-1]] & np.r_[follows[1:], True]
         if even:  # as made-up stamps are
-            self.jumps += int(np.sum(visible & ~gap & alone & (ratio > 1.7) & (np.abs(ratio - np.round(ratio)) < 0.25)))
+            long = visible & ~gap & alone & (ratio > 1.7) & (np.abs(ratio - np.round(ratio)) < 0.25)
+            self.jumps += int(long.sum())
+            over = (ratio - 1.0) * expected
+            self.over = (self.over[0] + float(over[visible & ~gap].sum()), self.over[1] + float(over[long].sum()))
         begins = int(np.argmax(follows & visible)) if (follows & visible).any() else 0
         if (~follows[:begins] & visible[:begins]).sum() >= SETTLES:
             self.settling = max(self.settling, float(r.t[begins] - r.t[0]))

@@ -17,7 +17,7 @@ from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new, scores
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
 from stopset.offline.diagnose.search.lag_form import formed
-from stopset.offline.diagnose.search.predicts import judged, outdone, outdone_at_a_joint
+from stopset.offline.diagnose.search.predicts import judged, outdone, outdone_elsewhere
 from stopset.offline.diagnose.search.refine import begun, refined
 from stopset.offline.diagnose.search.ripple import RIPPLES, Ripples
 from stopset.offline.diagnose.search.settle import instead, likeliest_gear, said_already, settle, shows_in_its_place
@@ -198,7 +198,7 @@ def _as_fitted(now: Hypothesis, claims: Sequence[Claim], theta: Array) -> list[C
 
 def _said_better(now: Hypothesis, s: Scored, asked: Sequence[Scored], refused: Set[EffectKey], hyper: Hyper) -> bool:
     """Whether a law that was refused says far more of what a claim would explain, at its joint or at one of the arm's."""
-    return outdone(s, asked, refused) or outdone_at_a_joint(now, s, asked, refused, hyper)
+    return outdone(s, asked, refused) or outdone_elsewhere(now, s, asked, refused, hyper)
 
 
 def _lag_of_noise(c: Candidate, excess: Sequence[float]) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -150,9 +152,11 @@ class Refitted:
 
 def _likeliest(view: Hypothesis, those: list[Place], hyper: Hyper, least: float) -> list[Sitting]:
     """Each with its likeliest spring, of all that are not far less likely than the likeliest one; none where none has the score ``least``."""
-    first = [s for place in those if (s := _coarse(view, place, hyper)) is not None]
-    best = max((s.score for s in first), default=0.0)
-    found = [_climbed(view, s, hyper) for s in first if s.score > max(NEAR * best, least)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # the core, and sums over all rows, release the interpreter
+        first = [s for s in pool.map(lambda place: _coarse(view, place, hyper), those) if s is not None]
+        best = max((s.score for s in first), default=0.0)
+        near = [s for s in first if s.score > max(NEAR * best, least)]
+        found = list(pool.map(lambda s: _climbed(view, s, hyper), near))
     best = max((s.score for s in found), default=0.0)
     return [s for s in found if s.score > (1.0 - limit.PATTERN_SHARE) * best]
 
