@@ -117,6 +117,15 @@ def test_a_true_law_is_not_refused_for_what_else_motions_kept_back_leave(shared_
     assert judged.why == "" and judged.helps
 
 
+def test_of_a_recording_too_short_to_be_divided_nothing_is_held_back(tmp_path: Path) -> None:
+    path = tmp_path / "three.urdf"
+    path.write_text(ARM)
+    _, model, data, _ = found_pairs.made(str(path), found_pairs.Case("healthy", False, (2.6,)), 307)
+    law = Fitted("stribeck", "lift", {"F_s": 0.1, "v_s": 0.1}, {"F_s": 0.01, "v_s": 0.01})
+    assert "would rise" not in alone(model, campaign(data), law).why
+    assert diagnose_model(model, data)[0].verdict in ("none", "unknown")
+
+
 def test_more_must_be_left_in_every_look() -> None:
     robot, law, other = load_robot("lwa4p"), "stribeck:arm_2_joint", "load_coulomb:arm_2_joint"
     less, same, more = ({"arm_2_joint": x} for x in (0.9, 1.0, 1.1))

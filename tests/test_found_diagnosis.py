@@ -302,6 +302,8 @@ def test_what_a_stamp_means_is_the_same_at_all_joints() -> None:
             "none",
             [],
         ),  # a lag of 5.8 +- 1.8 ms that is none was taken for a whole sample: three joints' torque was late then
+        # R-1549: 21 ms had moved the joint's stamps, which left less than the sensors' noise: friction was told to have changed
+        (174161, "missing", ["delay:shoulder_lift_joint"]),
     ],
 )
 def test_of_drawn_cases_of_a_real_arms_description(shared_data, seed: int, verdict: str, named: list[str]) -> None:  # type: ignore[no-untyped-def]

@@ -15,6 +15,8 @@ import numpy as np
 from stopset.artifact import Abstraction, Model
 from stopset.effects import Fitted, get
 from stopset.effects.selection import of_part, parse_effect, usual
+from stopset.errors import NotConformant, RecordingError
+from stopset.offline.abstraction.halves import Halves, halves, nominal_of
 from stopset.offline.abstraction.nominal_part import NominalPart, fit_nominal, regressed
 from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.settings import Settings, settings_of
@@ -27,6 +29,7 @@ from stopset.offline.nominal.nominal import LOW_PASS
 from stopset.recording import Meta
 from stopset.robot import Robot
 
+HELD_BACK = "on held-out data"  # where errors are of, in words
 Errors = tuple[Mapping[str, float], Mapping[str, float]]  # [N m] of each joint, without and with what is added
 
 
@@ -39,35 +42,49 @@ class Alone:
     among: tuple[str, ...] | None = None
 
 
-def alone(model: Model, campaign: Campaign, f: Fitted, among: tuple[str, ...] | None = None) -> Alone:
-    """Whether a nominal model with ``f``, and nothing else new, leaves more of its joint in the model's own recordings than the model.
+def alone(
+    model: Model, campaign: Campaign, f: Fitted, among: tuple[str, ...] | None = None, parts: Halves | None = None
+) -> Alone:
+    """Whether a nominal model with ``f``, and nothing else new, leaves more of its joint than without: in the model's own recordings than the
+    model, or, fitted to one of their ``parts``, in the other than one without.
 
     Alone whatever it is named or added with: each law speaks against itself.  ``among``: as in `Alone`.  Every error is an rms in N m.
-
     """
     chosen = tuple(model.provenance.get("chosen", ()))
     if not in_question(model, campaign.meta, [f.label]):
         return Alone()
     robot, settings = model.robot.as_described, settings_of(model)
-    around = retained_elsewhere(settings, chosen, [f], robot)
-    settings = replace(around, effects=(*settings.effects, f.label))
-    known = (*retained_effects(model), f)
+    plain = retained_elsewhere(settings, chosen, [f], robot)
+    settings = replace(plain, effects=(*plain.effects, f.label))
+    before = retained_effects(model)
+    known = (*before, f)
     shared = [x for x in model.effects if x.label in chosen and not regressed(get(x.effect))]
     given = (*known, *(x for x in shared if x.label not in {k.label for k in known}))
     run = Run(robot, campaign.meta, campaign.trials, campaign.seen.survey, settings)
 
-    def asked(among: tuple[str, ...] | None) -> tuple[Alone, NominalPart]:
-        revision = settings if among is None else replace(settings, friction_among=among)
+    def rise(looks: Iterable[Errors], where: str) -> str:
+        return raised(robot, [f.label], looks, chosen, where).get(f.label, "")
+
+    def asked(among: tuple[str, ...] | None) -> tuple[str, set[str]]:
+        """Why it is refused, and the laws that identification chose beside it."""
+        without, revision = (s if among is None else replace(s, friction_among=among) for s in (plain, settings))
         part = fit_nominal(_learning(replace(run, settings=revision), model), given)
         mine = NominalPart(model.robot, model.rotor, model.effects, _plain_damping(model, part), (), taken_out=_taken_out(model))
-        looks = zip(left(run, mine), left(run, part), strict=True)
-        worse = raised(model.robot, [f.label], looks, chosen, "in these recordings")
-        return Alone(worse.get(f.label, ""), among), part
+        laws = {g.name for g in part.chosen}
+        if why := rise(zip(left(run, mine), left(run, part), strict=True), "in these recordings"):
+            return why, laws
+        try:
+            divided = parts or halves(campaign)
+            two = [nominal_of(robot, campaign.meta, divided, s, k) for s, k in ((without, before), (revision, known))]
+        except (RecordingError, NotConformant):
+            return "", laws  # too short to be divided, or a part of which no arm can be made: nothing is held back
+        judging = Run(robot, campaign.meta, divided.judging, divided.judged, settings)
+        return rise(zip(*(left(judging, x) for x in two), strict=True), HELD_BACK), laws | {g.name for g in two[1].chosen}
 
-    answer, part = asked(among)
-    if answer.why and among is None and not {g.name for g in part.chosen} <= set(chosen):
-        answer, _ = asked(chosen)  # a law is to answer for it itself, not another that is chosen beside it
-    return answer
+    why, laws = asked(among)
+    if why and among is None and not laws <= set(chosen):
+        return Alone(asked(chosen)[0], chosen)  # a law is to answer for it itself, not another that is chosen beside it
+    return Alone(why, among)
 
 
 def in_question(model: Model, meta: Meta, names: Sequence[str]) -> list[str]:

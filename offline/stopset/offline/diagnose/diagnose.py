@@ -172,7 +172,7 @@ def _of_the_model(r: Ranked, law: Fitted) -> Ranked:
 
 
 def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Progress) -> Examination:
-    """The examination of a model's own recordings without what `add` would refuse for what the model leaves of them.
+    """The examination of a model's own recordings without what `add` would refuse for what nominal models leave of them.
 
     Friction of all that a gear transmits stays named where gravity's part, which a model takes, explains too little, and the model has no law of
     the load there: it is what is missing.

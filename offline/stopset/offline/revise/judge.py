@@ -17,18 +17,29 @@ from stopset.effects import get
 from stopset.effects.base import Fitted
 from stopset.effects.selection import parse_effect
 from stopset.errors import RecordingError
+from stopset.offline.abstraction.halves import Halves, nominal_figures, nominal_of
 from stopset.offline.abstraction.nominal_part import NominalPart
+from stopset.offline.campaign.run import Run
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.answer import Ranked
-from stopset.offline.diagnose.as_added import Alone, alone, levelled, raised, retained_effects, retained_elsewhere
+from stopset.offline.diagnose.as_added import (
+    HELD_BACK,
+    Alone,
+    alone,
+    in_question,
+    left,
+    levelled,
+    raised,
+    retained_effects,
+    retained_elsewhere,
+)
 from stopset.offline.diagnose.compensated import JointStep, OpenLoop, search_open_loop
 from stopset.offline.diagnose.estimate import Estimate, estimates
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.diagnose.lacking import rises
 from stopset.offline.diagnose.question import question
-from stopset.offline.revise.held_out import Halves, nominal_figures, nominal_left, nominal_of
 from stopset.progress import Progress
 from stopset.recording import Recordings
 from stopset.robot import Robot
@@ -88,7 +99,7 @@ class Judge:
 
     def left(self, part: NominalPart, settings: Settings) -> Iterator[dict[str, float]]:
         """The torque [N m] that it leaves there of each joint, looked at in more than one way."""
-        return nominal_left(part, self.campaign.meta, self.halves, settings)
+        return left(Run(self.robot, self.campaign.meta, self.halves.judging, self.halves.judged, settings), part)
 
 
 def by_simulation(
@@ -191,19 +202,21 @@ def by_evidence(
     found, refused, asked = list(answer.found), dict[str, str](), dict[str, Alone]()
     stays = {e.fitted.label for e in found} & set(chosen)
     while True:
+        trial = tried.beside(found)
         laws = [] if force else [e for e in found if e.name in rubbing and e.fitted.label not in stays]
+        each = [e for e in laws if in_question(judge.model, judge.campaign.meta, [e.fitted.label])]
+        for e in each:
+            if e.fitted.label not in asked:
+                asked[e.fitted.label] = alone(judge.model, judge.campaign, e.fitted, parts=judge.halves)
+        worse = {e.name: asked[e.fitted.label].why for e in each if asked[e.fitted.label].why}
         # what judges leaves the laws in question that identification chose; the model without friction that is added has them
-        trial, worse = tried.against([e for e in answer.found if e.name not in rubbing], found, laws)
-        for e in () if worse else laws:
-            label = e.fitted.label
-            asked[label] = asked.get(label) or alone(judge.model, judge.campaign, e.fitted)
-            worse |= {e.name: asked[label].why} if asked[label].why else {}
+        worse |= tried.raised([e for e in answer.found if e.name not in rubbing], trial, [e for e in laws if e not in each])
         if not worse:
             break
         refused |= worse
         found = [e for e in found if e.name not in worse]
     more, after = trial.settings, trial.errors
-    if trial.alike or any(asked[e.fitted.label].among is not None for e in laws):
+    if any(asked[e.fitted.label].among is not None for e in each):
         more = replace(more, friction_among=chosen)
     start = _with_torque(plain, joints, answer.before)
     judged = []
@@ -223,16 +236,12 @@ def by_evidence(
 
 @dataclass(frozen=True, slots=True)
 class _Tried:
-    """What to identify a revision with, its effects, its nominal model of one part of the recordings, errors on the other.
-
-    ``alike``: identification chose among the laws that are there without what is added only.
-    """
+    """What to identify a revision with, its effects, its nominal model of one part of the recordings, errors on the other."""
 
     settings: Settings
     effects: tuple[Fitted, ...]
     part: NominalPart
     errors: dict[str, float]
-    alike: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,51 +251,31 @@ class _Trials:
     judge: Judge
     settings: Settings
     chosen: tuple[str, ...] | None
-    _known: dict[tuple[tuple[str, ...], tuple[str, ...] | None], _Tried] = field(default_factory=dict)
+    _known: dict[tuple[str, ...], _Tried] = field(default_factory=dict)
 
-    def beside(self, added: Sequence[Estimate], among: tuple[str, ...] | None = None) -> _Tried:
-        """The model with what is ``added``, with the numbers of its estimate, or the model's own and its other laws there of what it has.
-
-        ``among``: the laws of which identification may choose, None: any at the joints of what is added.
-        """
-        key = tuple(e.fitted.label for e in added), among
-        if key not in self._known:
-            has = set(key[0]) & set(self.chosen or ())
+    def beside(self, added: Sequence[Estimate]) -> _Tried:
+        """The model with what is ``added``, with the numbers of its estimate, or the model's own and its other laws there of what it has."""
+        which = tuple(e.fitted.label for e in added)
+        if which not in self._known:
+            has = set(which) & set(self.chosen or ())
             fitted = [e.fitted for e in added if e.fitted.label not in has]
             around = self.settings
             if self.chosen is not None:
                 around = retained_elsewhere(around, [x for x in self.chosen if x not in has], fitted, self.judge.robot)
             more = replace(around, effects=(*self.settings.effects, *dict.fromkeys(e.name for e in added)))
-            more = more if among is None else replace(more, friction_among=among)
             retained = [f for f in self.judge.model.effects if f.label in has]
             taken = (*retained_effects(self.judge.model), *fitted, *retained)
             part = self.judge.fitted(more, taken)
-            self._known[key] = _Tried(more, taken, part, self.judge.simulated(part), among is not None)
-        return self._known[key]
+            self._known[which] = _Tried(more, taken, part, self.judge.simulated(part))
+        return self._known[which]
 
-    def against(
-        self, plain: Sequence[Estimate], added: Sequence[Estimate], laws: Sequence[Estimate]
-    ) -> tuple[_Tried, dict[str, str]]:
-        """The model with what is ``added``, held against that with the ``plain`` alone: which of the ``laws`` are refused, and why.
-
-        Each is to answer for what it raises itself, not for another law that is chosen beside it and not without: of a hidden Stribeck
-        friction of one part of a recording, a friction of the load was chosen beside the true one, and left 2 % more of the other part.
-        """
-        trial = self.beside(added)
+    def raised(self, plain: Sequence[Estimate], trial: _Tried, laws: Sequence[Estimate]) -> dict[str, str]:
+        """Which ``laws`` leave more of what is held out, in a ``trial`` with them beside the model with the ``plain`` alone, and why."""
         if not laws:
-            return trial, {}
-        without = self.beside(plain)
-        worse = self._raised(without, trial, laws)
-        there = tuple(g.name for g in without.part.chosen)
-        if worse and self.chosen is not None and not {g.name for g in trial.part.chosen} <= set(there):
-            trial = self.beside(added, there)
-            worse = self._raised(without, trial, laws)
-        return trial, worse
-
-    def _raised(self, without: _Tried, trial: _Tried, laws: Sequence[Estimate]) -> dict[str, str]:
-        """`raised` on what is held out."""
-        looks = zip(self.judge.left(without.part, self.settings), self.judge.left(trial.part, self.settings), strict=True)
-        return raised(self.judge.robot, [e.name for e in laws], looks, self.chosen or (), "on held-out data")
+            return {}
+        judge, names = self.judge, [e.name for e in laws]
+        looks = zip(*(judge.left(x.part, self.settings) for x in (self.beside(plain), trial)), strict=True)
+        return raised(judge.robot, names, looks, self.chosen or (), HELD_BACK)
 
 
 def _with_torque(simulated: Mapping[str, float], joints: Sequence[str], row: np.ndarray | None) -> dict[str, float]:

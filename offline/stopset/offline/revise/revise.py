@@ -17,6 +17,7 @@ import numpy as np
 from stopset.artifact import Model, Revision
 from stopset.effects.selection import parse_effect
 from stopset.errors import EffectError, NotConformant, NotCovered
+from stopset.offline.abstraction.halves import halves
 from stopset.offline.campaign.conditions import one_condition
 from stopset.offline.campaign.settings import Settings, settings_of
 from stopset.offline.campaign.source import Campaign
@@ -25,7 +26,6 @@ from stopset.offline.diagnose.as_added import alone, retained_effects
 from stopset.offline.diagnose.evidence.baseline import own
 from stopset.offline.identify.pipeline import Identification, Keep, identified
 from stopset.offline.inspect.gate import check_files, check_trials
-from stopset.offline.revise.held_out import halves
 from stopset.offline.revise.judge import (
     HELD_OUT,
     Judge,

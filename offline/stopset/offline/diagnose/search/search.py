@@ -98,7 +98,7 @@ def search(start: Hypothesis, names: Sequence[str] | None = None, progress: Prog
             now, hyper, p = _with_swings(now, hyper, p)
         error = held_out(now, hyper)
         worse = plainer is not None and not shows_in_its_place(earlier, top)
-        worse = worse or _said_better(earlier, top.scored, left, refused, hyper) or _lag_of_noise(candidate, excess)
+        worse = worse or _said_better(earlier, top.scored, left, refused, hyper) or _lag_of_noise(earlier, candidate, hyper)
         if worse or judged(earlier, candidate, before, error, hyper, claimed).why:
             now = earlier
             hyper, p = now.fit(hyper)
@@ -201,9 +201,17 @@ def _said_better(now: Hypothesis, s: Scored, asked: Sequence[Scored], refused: S
     return outdone(s, asked, refused) or outdone_elsewhere(now, s, asked, refused, hyper)
 
 
-def _lag_of_noise(c: Candidate, excess: Sequence[float]) -> bool:
-    """Whether a lag is claimed where the rows hold less than their sensors' noise without it: that noise is all there is to be shifted."""
-    return c.effect.enters == "input_delay" and all(excess[j] < 1.0 for j in c.joints)
+def _lag_of_noise(now: Hypothesis, c: Candidate, hyper: Hyper) -> bool:
+    """Whether a lag is claimed where the rows hold less than their sensors' noise without it: that noise is all there is to be shifted.
+
+    Without its joint's stamps, too, as in `judged`: 21 ms had moved them by five times what stamps may be off, and left less than noise.
+    """
+    if c.effect.enters != "input_delay":
+        return False
+    held = replace(now, held=(*now.held, *(int(now.engine.stamps[j]) for j in c.joints)))
+    same, p = held.fit(hyper)
+    excess = held.excesses(p.theta, same)
+    return all(excess[j] < 1.0 for j in c.joints)
 
 
 def _stands(now: Hypothesis, s: Scored, hyper: Hyper) -> bool:

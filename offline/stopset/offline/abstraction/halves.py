@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +14,6 @@ from stopset.offline.campaign.settings import Settings
 from stopset.offline.campaign.source import Campaign
 from stopset.offline.campaign.survey import Survey, survey
 from stopset.offline.campaign.trials import Source
-from stopset.offline.diagnose.as_added import left
 from stopset.offline.nominal.low_pass import recorded_low_pass
 from stopset.recording import Meta
 from stopset.robot import Robot
@@ -54,8 +52,3 @@ def nominal_figures(nominal: NominalPart, meta: Meta, parts: Halves) -> dict[str
     pairs = pairs_of(parts.judging, parts.judged, nominal, meta.effort)
     joints, roll = nominal.robot.joints, roller(nominal, meta.effort, parts.judged)
     return joint_figures(pairs, nominal.abstraction, joints, parts.judged.dt, roll)
-
-
-def nominal_left(nominal: NominalPart, meta: Meta, parts: Halves, settings: Settings) -> Iterator[dict[str, float]]:
-    """[N m] what a nominal model leaves of each joint where it is judged, as `stopset.offline.diagnose.as_added.left` looks at it."""
-    return left(Run(nominal.robot, meta, parts.judging, parts.judged, settings), nominal)
