@@ -52,7 +52,9 @@ def tried(model: Model, done: Revised, data: Sequence[str | Path] = ()) -> Page:
             out.verdict(f"{j.name}: {j.stays}.")
     revision = _last(model) if done.model is not None else None
     if revision is not None:
-        out.verdict(*_said(revision))
+        what, tone = _said(revision)
+        # of a law that the model has the error before is without it: that it fell is nothing that was done now
+        out.verdict(what, tone if any(not j.why and not j.stays for j in done.judged) else "")
         out.next(
             "`stopset compare` on a recording that was not used here tells whether it holds there too, `stopset diagnose` what is still "
             "missing; `stopset stops` has the new bounds."
