@@ -81,7 +81,7 @@ TABLE: tuple[tuple[str, ModuleType, str], ...] = (
     ("reading", recorded_clock, "FEWEST_STAMPS PRINTED ROUGH WIDE PAUSE SLOWER"),
     ("reading", recorded_rows, "UNREAD"),
     ("spikes", spikes, "FEWEST RARE OUT SEEN FLAT LEVEL BESIDE MOVING ANSWER AROUND ANSWERED"),
-    ("polled readings", polled, "FEWEST_READINGS STEADY LEAST MOST LONGEST WHOLE AROUND REST PLAIN ITS"),
+    ("polled readings", polled, "FEWEST_READINGS STEADY LEAST MOST LONGEST WHOLE AROUND REST PLAIN BETTER ITS"),
     ("held readings", held, "FEWEST_READINGS TWICE EVENLY TOGETHER SIGNALS MOST LATE OF_ROWS FOLLOWS"),
     ("bent ends", ends, "SLOPE EDGE FEWEST OFF USUAL FADES MOSTLY"),
     ("robot", drives, "STANDARD_GRAVITY"),
