@@ -44,7 +44,7 @@ def objection(
     # a gear's swing follows from its stiffness: one that is not shown to be as large is something else that looks alike
     if effect.role == "swing" and abs(values["share"] - 1.0) + limit.SURE * sizes["share"][1] > limit.WHOLE:
         v, s = sizes["share"]
-        return f"its swing is {v:.3g} +- {s:.2g} times what such a gear makes; a true one is within {limit.WHOLE:.0%} of it"
+        return f"its swing is {v:.3g} +- {s:.2g} times what such a gear makes; a true one is within {limit.WHOLE:.0%} of it by twice its error"
     for p in effect.shapes:
         v = values[p.symbol]
         # a time as short as any that was asked, but for its error, is what a slow law makes of something faster; other shapes' ends are
