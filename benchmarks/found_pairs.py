@@ -75,9 +75,8 @@ def _dragging(plant: SimulatedPlant, joint: int) -> SimulatedPlant:
     return plant._replace(fc=plant.fc + DRAG * (np.arange(len(plant.fc)) == joint))
 
 
-ONLY_ASKED = Settings(
-    horizon=0.1
-)  # where a model is only diagnosed: its sets say nothing there, and so far ahead they are found sooner
+# where a model is only diagnosed its sets say nothing: so far ahead [s] they are found sooner
+ONLY_ASKED = Settings(horizon=0.1)
 FRICTION = ("coulomb", "viscous")
 EFFECTS = (
     ("stribeck", "loaded", _of(0.4)), ("load_coulomb", "loaded", _of(0.08)), ("asymmetric_coulomb", "upright", _of(0.15)),

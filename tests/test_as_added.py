@@ -84,9 +84,8 @@ def test_add_and_diagnosis_ask_by_one_rule(simulated: tuple[str, Model, Recordin
     error = np.ones(model.n)
     found = SimpleNamespace(name=OTHER, before=error, after=0.5 * error, fitted=quadratic)
     monkeypatch.setattr(judging, "estimates", lambda *args: SimpleNamespace(found=(found,), before=error, words="all"))
-    monkeypatch.setattr(judging.Judge, "fitted", lambda *args: SimpleNamespace(chosen=()))
+    monkeypatch.setattr(judging.Judge, "fitted", lambda *args: None)
     monkeypatch.setattr(judging.Judge, "simulated", lambda *args: dict.fromkeys(keys, 1.0))
-    monkeypatch.setattr(judging.Judge, "left", lambda *args: iter([dict.fromkeys(model.joints, 1.0)]))
     judge = judging.Judge(model, model.robot.as_described, campaign(data), None, silent)  # type: ignore[arg-type]
     (judged,) = judging.by_evidence(judge, Settings(), [OTHER], None, force=False).judged
     assert judged.why == why and judged.helps == (not why)

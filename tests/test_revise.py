@@ -18,8 +18,8 @@ from stopset.cli.main import main
 from stopset.effects.base import Fitted
 from stopset.offline.campaign.settings import Settings
 from stopset.offline.revise import judge as judging
-from stopset.offline.revise.page import waterfalls
-from stopset.offline.revise.revise import stop_figures
+from stopset.offline.revise.page import tried, waterfalls
+from stopset.offline.revise.revise import Revised, stop_figures
 from stopset.offline.update.sums_file import load_sums
 from stopset.progress import silent
 from stopset.recording import Meta
@@ -206,6 +206,17 @@ def test_sets_of_other_recordings_are_compared_with_what_these_have_without_the_
     assert bars[1] == (["first identification", "spring:arm_4_joint"], [0.1, 0.09]), "what differs by a hundredth is drawn once"
 
 
+@pytest.mark.parametrize("stays", ["", "the model has it already"])
+def test_that_an_error_fell_by_what_the_model_had_is_no_success_of_adding_it(stays: str) -> None:
+    keys, name = ("held_out_torque_rmse", "held_out_position_rmse"), "load_coulomb:arm_2_joint"
+    before, after = dict.fromkeys(keys, 1.0), dict.fromkeys(keys, 0.6)
+    added = Revision(1, name, before, after, "")
+    model = dataclasses.replace(known_model(), revisions=(Revision(0, "", {}, before, ""), added))
+    judged = judging.Judged(name, before, after, helps=True, enters="compensation", in_model=bool(stays), stays=stays)
+    page = tried(model, Revised(model, before, after, (judged,), "other motions")).html()
+    assert "-40%" in page and ("✓" in page) == (not stays)
+
+
 def test_stops_of_two_revisions_are_compared_where_both_have_been() -> None:
     """The largest speed of the first alone was outside what the second saw, and no stop was compared at all."""
     model = known_model()
@@ -226,7 +237,7 @@ def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[..., judging.Judgemen
 
     def fitted(self: Any, settings: Settings, known: Sequence[Fitted]) -> Any:
         theirs = any(f.values["x"] != 2.0 for f in known)
-        return SimpleNamespace(chosen=(), lift=self.campaign.theirs if theirs else 1.1 if known and self.campaign.worse else 1.0)
+        return SimpleNamespace(lift=self.campaign.theirs if theirs else 1.1 if known and self.campaign.worse else 1.0)
 
     def simulated(self: Any, part: Any) -> dict[str, float]:
         each = {f"{key}:{j}": (part.lift if j == "lift" else 1.0) for key in judging.HELD_OUT for j in joints}

@@ -123,8 +123,8 @@ def outdone_elsewhere(now: Hypothesis, s: Scored, asked: Sequence[Scored], refus
     """`outdone` of a claim of the whole arm or of one joint: whether beside such a law of one other joint nothing of it is left.
 
     A load or a tilted base loads every joint.  One that says nothing but a part of what a law of one joint would is another name of that
-    joint's torque.  So is a scale of one joint whose links were moved by the scale of another: 11 % less of a UR10e's shoulder, while it
-    crept, took half its share of the elbow's error away, and 1 % of its own; named was 12 % of the elbow.
+    joint's torque.  So is a scale of one joint whose links another joint's scale has moved: of a creeping UR10e whose shoulder read 11 % less,
+    that scale took 21 % of the elbow's error away and 1 % of its own; 12 % of the elbow were named, which took 19 %.
     """
     c = s.candidate
     if not c.effect.absorbed:
