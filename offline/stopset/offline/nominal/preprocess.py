@@ -10,10 +10,11 @@ Source: Gautier (1997), Dynamic identification of robots with power model; Liu &
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 from weakref import ref
 
 import numpy as np
@@ -30,6 +31,7 @@ SLOWEST = 0.06  # cut-off over sampling rate: twice differentiated positions are
 LOWEST = 6.0  # [Hz] of an adapted cut-off: below, the ringing around reversals costs more samples than noise does
 CLEAR, ABOVE = 4.0, 1.5  # spectrum over noise where the motion's band ends; cut-off over that end
 SEAM = 0.4  # periods of a recorded low-pass within which a piece's end, which it did not have, is felt
+T = TypeVar("T")
 RINGING = 0.8  # the filter's step response settles to 2 % within this many periods of the cut-off frequency
 
 
@@ -123,6 +125,37 @@ def derivative(x: Array, h: float) -> Array:
     return out
 
 
+@dataclass(slots=True)
+class _Remembered(Generic[T]):
+    """What positions give, for the next pass over the same recording: its torque may be another one then, its positions are not."""
+
+    _known: dict[tuple[int, Hashable], tuple[ref[Array], Array, T]] = field(default_factory=dict)
+
+    def of(self, q: Array, beside: Hashable, make: Callable[[], T]) -> T:
+        """What ``make`` makes of positions ``q`` and of what stands ``beside`` them; kept as long as the positions are, and are the same."""
+        key = (id(q), beside)
+        if (found := self._known.get(key)) is not None and found[0]() is q and np.array_equal(found[1], q):
+            return found[2]
+        out = make()
+        self._known[key] = ref(q, lambda _: self._known.pop(key, None)), q.copy(), out
+        return out
+
+
+class _Resampled(NamedTuple):
+    """Samples ``taken`` (N,) [s] at times that are not even: the positions ``q`` (M, n) on an even grid ``t`` (M,)."""
+
+    taken: Array
+    t: Array
+    q: Array
+
+    def on_grid(self, x: Array) -> Array:
+        """(M, k) of other readings ``x`` (N, k) of these samples."""
+        return np.column_stack([np.interp(self.t, self.taken, c) for c in x.T])
+
+
+_resampled_of: _Remembered[_Resampled] = _Remembered()
+
+
 def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | None]]:
     """Evenly spaced ``t, q, tau, temp`` of each stretch without a hole; evenly sampled trials pass unchanged.
 
@@ -133,33 +166,32 @@ def even_pieces(r: Recording) -> Iterator[tuple[Array, Array, Array, Array | Non
     holes = np.flatnonzero(dt > GAP * step)
     edges = [0, *(holes + 1).tolist(), len(r.t)]
     for lo, hi in pairwise(edges):
-        t, temp = r.t[lo:hi], None if r.temp is None else r.temp[lo:hi]
+        t, tau, temp = r.t[lo:hi], r.tau[lo:hi], None if r.temp is None else r.temp[lo:hi]
         if hi - lo < 8:
             continue
         even = t[0] + step * np.arange(hi - lo)
         if np.abs(t - even).max() <= IRREGULAR * step:
-            whole = len(edges) == 2
-            yield even, r.q if whole else r.q[lo:hi], r.tau[lo:hi], temp
+            yield even, r.q if len(edges) == 2 else r.q[lo:hi], tau, temp
             continue
-        clock, _ = even_clock(t, step)
-        stamped = _read(r, slice(lo, hi), t, float(np.mean(np.diff(t))))
-        if clock is None:
-            yield stamped
-            continue
-        on_clock = _read(r, slice(lo, hi), clock, float(np.min(np.diff(clock))))
-        yield min(stamped, on_clock, key=lambda piece: roughness(piece[1]))
+        read = _resampled_of.of(r.q, (lo, t.tobytes()), partial(_resampled, t, r.q[lo:hi], step))
+        yield read.t, read.q, read.on_grid(tau), None if temp is None else read.on_grid(temp)
 
 
-def _read(r: Recording, at: slice, t: Array, h: float) -> tuple[Array, Array, Array, Array | None]:
-    """``t, q, tau, temp`` of the samples ``at``, taken at the times ``t``, on a grid of step ``h`` [s]."""
+def _resampled(t: Array, q: Array, step: float) -> _Resampled:
+    """Positions ``q`` (N, n) of the stamps ``t``, which are about ``step`` [s] apart."""
+    clock, _ = even_clock(t, step)
+    stamped = _read(q, t.copy(), float(np.mean(np.diff(t))))  # a copy: what is remembered of a recording must not hold it
+    if clock is None:
+        return stamped
+    return min(stamped, _read(q, clock, float(np.min(np.diff(clock)))), key=lambda x: roughness(x.q))
+
+
+def _read(q: Array, taken: Array, h: float) -> _Resampled:
+    """The positions ``q`` (N, n), taken at the times ``taken``, on a grid of step ``h`` [s]."""
     from scipy.interpolate import CubicSpline  # half a second, for what few recordings need
 
-    grid = t[0] + h * np.arange(int((t[-1] - t[0]) / h + 1e-6) + 1)
-
-    def between(x: Array) -> Array:
-        return np.column_stack([np.interp(grid, t, c) for c in x[at].T])
-
-    return grid, CubicSpline(t, r.q[at])(grid), between(r.tau), None if r.temp is None else between(r.temp)
+    grid = taken[0] + h * np.arange(int((taken[-1] - taken[0]) / h + 1e-6) + 1)
+    return _Resampled(taken, grid, CubicSpline(taken, q)(grid))
 
 
 class _Moved(NamedTuple):
@@ -172,21 +204,15 @@ class _Moved(NamedTuple):
     moving: NDArray[np.bool_]
 
 
-# what positions give, for the next pass over the same recording: its torque may be another one then, its positions are not
-_known: dict[tuple[int, float, Preprocessing], tuple[ref[Array], Array, _Moved]] = {}
+_moved_of: _Remembered[_Moved] = _Remembered()
 
 
 def _moved(q: Array, h: float, settings: Preprocessing) -> _Moved:
-    """Of positions ``q`` (N, n) at a step of ``h`` [s]; remembered as long as the recording is."""
-    key = (id(q), h, settings)
-    if (found := _known.get(key)) is not None and found[0]() is q and np.array_equal(found[1], q):
-        return found[2]
+    """Of positions ``q`` (N, n) at a step of ``h`` [s]."""
     cutoff = min(settings.cutoff, SLOWEST / h, band(q, h))
     qf = zero_phase(low_pass(round(cutoff * h, 9)), q)
     dq = derivative(qf, h)
-    out = _Moved(cutoff, qf, dq, derivative(dq, h), ~_dilated(np.abs(dq) < settings.still, _ring(cutoff * h)))
-    _known[key] = ref(q, lambda _: _known.pop(key, None)), q.copy(), out
-    return out
+    return _Moved(cutoff, qf, dq, derivative(dq, h), ~_dilated(np.abs(dq) < settings.still, _ring(cutoff * h)))
 
 
 def _ring(relative: float) -> int:
@@ -198,7 +224,7 @@ def motions(r: Recording, settings: Preprocessing) -> Iterator[PreparedMotion]:
     """The usable pieces of a moving trial, filtered and differentiated; short ones (under the filter's length) are left out."""
     for t, q, tau, temp in even_pieces(r):
         h = float(t[1] - t[0])
-        cutoff, qf, dq, ddq, moving = _moved(q, h, settings)
+        cutoff, qf, dq, ddq, moving = _moved_of.of(q, (h, settings), partial(_moved, q, h, settings))
         ring = _ring(cutoff * h)
         if len(t) < 6 * ring:
             continue
