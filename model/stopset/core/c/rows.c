@@ -140,31 +140,53 @@ STOPSET_WIDE void stopset_ripple_power(const StopsetPredictor *p, const StopsetR
     }
 }
 
-/* One step of Newmark's rule, h [s] long. */
-static void newmark(double force, double m, double stiff, double D, double h, double *x, double *dx) {
-    const double ddx = (force - D * *dx - stiff * (*x + 0.5 * h * *dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff);
+/* One step of Newmark's rule, h [s] long, of four links. */
+UNROLLED void newmark(Four force, Four m, Four stiff, double D, double h, Four *x, Four *dx) {
+    const Four ddx = (force - D * *dx - stiff * (*x + 0.5 * h * *dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff);
     *x = *x + h * *dx + 0.5 * h * h * ddx;
     *dx = *dx + h * ddx;
 }
 
-void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const double *x0, const double *dx0, double *out) {
+/* The first row of the run after that of row k: a run is a trial, and what is before the first one. */
+static int64_t run_end(const StopsetSwing *s, int64_t N, int64_t k) {
+    for (k++; k < N && !s->first[k];) k++;
+    return k;
+}
+
+/* Four runs side by side, from[i] to to[i]: a step waits for the one before it, not for another run's. A lane beyond its end stays there. */
+STOPSET_WIDE static void swung_four(const StopsetSwing *s, const int64_t *from, const int64_t *to, const double *link, const double *x0,
+                                    const double *dx0, double *out, double *rate, double *acc) {
     const int parts = s->parts;
     const double h = s->dt / parts;
-    double *rate = out + N, *acc = rate + N;
-    double x = 0.0, dx = 0.0;
-    for (int64_t k = 0; k < N; k++) {
-        const double stiff = s->K + s->g[k];
-        if (s->first[k]) {
-            x = x0[k];
-            dx = dx0[k];
-        } else if (k > 0)
-            for (int i = 0; i < parts; i++) {
-                const double w = (i + 0.5) / parts, m = s->M[k - 1] + w * (s->M[k] - s->M[k - 1]);
-                newmark(-(link[k - 1] + w * (link[k] - link[k - 1])), m, stiff, s->D, h, &x, &dx);
+    int64_t longest = 0;
+    Four x = {0}, dx = {0}, M = {0}, force = {0};
+    for (int64_t r = 0; r == 0 || r < longest; r++) {
+        Four M_now, force_now, stiff;
+        for (int i = 0; i < 4; i++) {
+            const int64_t length = to[i] - from[i], k = from[i] + (r < length ? r : length - 1);
+            M_now[i] = s->M[k], force_now[i] = link[k], stiff[i] = s->K + s->g[k];
+            longest = length > longest ? length : longest;
+            if (r == 0 && s->first[k]) x[i] = x0[k], dx[i] = dx0[k];
+        }
+        if (r > 0)
+            for (int part = 0; part < parts; part++) {
+                const double w = (part + 0.5) / parts;
+                newmark(-(force + w * (force_now - force)), M + w * (M_now - M), stiff, s->D, h, &x, &dx);
             }
-        out[k] = x;
-        rate[k] = dx;
-        acc[k] = (-link[k] - s->D * dx - stiff * x) / s->M[k];
+        const Four ddx = (-force_now - s->D * dx - stiff * x) / M_now;
+        for (int i = 0; i < 4; i++)
+            if (r < to[i] - from[i]) out[from[i] + r] = x[i], rate[from[i] + r] = dx[i], acc[from[i] + r] = ddx[i];
+        M = M_now, force = force_now;
+    }
+}
+
+void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const double *x0, const double *dx0, double *out) {
+    for (int64_t k = 0; k < N;) {
+        int64_t from[4], to[4];
+        int runs = 0;
+        for (; runs < 4 && k < N; runs++) from[runs] = k, k = to[runs] = run_end(s, N, k);
+        for (int i = runs; i < 4; i++) from[i] = from[0], to[i] = to[0]; /* fewer are left: the first of them more than once */
+        swung_four(s, from, to, link, x0, dx0, out, out + N, out + 2 * N);
     }
 }
 
@@ -178,7 +200,8 @@ void stopset_led(const StopsetSwing *s, int64_t N, const double *link, const dou
             x0[k] = -link[k] / stiff;
             continue;
         }
-        x0[k] = -rest[k] / stiff;
-        for (int64_t i = 0; i < steps; i++) newmark(-link[k], s->M[k], stiff, s->D, h, x0 + k, dx0 + k);
+        Four x = FOUR_OF(-rest[k] / stiff), dx = {0};
+        for (int64_t i = 0; i < steps; i++) newmark(FOUR_OF(-link[k]), FOUR_OF(s->M[k]), FOUR_OF(stiff), s->D, h, &x, &dx);
+        x0[k] = x[0], dx0[k] = dx[0];
     }
 }

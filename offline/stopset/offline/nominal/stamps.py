@@ -18,16 +18,21 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit 
 
 def even_clock(t: Array, dt: float, near: float = NEAR) -> tuple[Array | None, int]:
     """(N,) times on the even clock of about ``dt`` [s] that the stamps ``t`` scatter about, None where there is none; lost samples."""
-    place, now = np.zeros(len(t)), float(t[0])
-    for k in range(1, len(t)):
-        steps = round((t[k] - now) / dt)
-        if steps < 1 and k > 1 and place[k - 1] - place[k - 2] > 1:  # the stamp before came late: nothing was lost before it
-            place[k - 1] -= 1
+    stamps, places, now = (
+        t.tolist(),
+        [0] * len(t),
+        float(t[0]),
+    )  # plain numbers: of arrays each would be looked up in ten times the time
+    for k in range(1, len(stamps)):
+        steps = round((stamps[k] - now) / dt)
+        if steps < 1 and k > 1 and places[k - 1] - places[k - 2] > 1:  # the stamp before came late: nothing was lost before it
+            places[k - 1] -= 1
             now -= dt
         steps = max(1, steps)
-        place[k] = place[k - 1] + steps
+        places[k] = places[k - 1] + steps
         now += steps * dt
-        now += FOLLOW * (t[k] - now)
+        now += FOLLOW * (stamps[k] - now)
+    place = np.array(places, float)
     for _ in range(2):
         period, begin = np.polyfit(place, t, 1)
         place = _distinct((t - begin) / period)

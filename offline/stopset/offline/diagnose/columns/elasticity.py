@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from stopset.core.library import ffi, flags, given, lib, view
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.signals import ArmSignals
 from stopset.offline.diagnose.rows.smooth import calm
+from stopset.offline.diagnose.side_by_side import side_by_side
 from stopset.robot.rigid import Bend, bent_torques
 from stopset.types import Array, Mask
 
@@ -121,15 +121,14 @@ def _true_swing(source: ArmSignals, joint: int, K: float, D: float, *, begun: bo
 
 
 def _bend(source: ArmSignals, joint: int, x: Array, dx: Array, ddx: Array, lowest: int, out: Array) -> None:
-    """`bent_torques` of all rows, two halves side by side: the kernel releases the interpreter."""
+    """`bent_torques` of all rows, by halves."""
     d = source.data
 
     def part(r: slice) -> None:
         bend = Bend(joint, x[r], dx[r], ddx[r])
         bent_torques(source.robot.chain, source.robot.pi, (d.q[r], d.dq[r], d.ddq[r]), bend, lowest, out[r])
 
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(part, (slice(len(x) // 2), slice(len(x) // 2, None))))
+    side_by_side(part, (slice(len(x) // 2), slice(len(x) // 2, None)))
 
 
 def _begun(source: ArmSignals, joint: int, filtered: _Filter, driving: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.evidence.priors import Beforehand, link_tolerance
 from stopset.offline.diagnose.rows.prepare import Prepared, prepare
 from stopset.offline.diagnose.rows.rows import JointRows
+from stopset.offline.diagnose.side_by_side import Recent
 from stopset.offline.nominal.parameter_uncertainty import along
 from stopset.offline.nominal.prior import Tolerance
 from stopset.recording import Recordings
@@ -60,8 +62,8 @@ class Engine:
     mass_tolerance: float  # relative, of the description's masses
     _level: dict[int, float] = field(default_factory=dict)
     _drowned: dict[int, bool] = field(default_factory=dict)
-    _columns: dict[Any, dict[int, tuple[Array, Array]]] = field(default_factory=dict)
-    _made: dict[Any, tuple[Candidate, dict[int, Array]] | None] = field(default_factory=dict)
+    _columns: Recent[dict[int, tuple[Array, Array]]] = field(default_factory=partial(Recent, RECENT))
+    _made: Recent[tuple[Candidate, dict[int, Array]] | None] = field(default_factory=partial(Recent, CACHED))
 
     # -- building ---------------------------------------------------------------------------------------------------
 
@@ -187,23 +189,14 @@ class Engine:
     def columns(self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]) -> dict[int, tuple[Array, Array]]:
         """`columns` of a law over rows and poses; the last `RECENT` are kept, as those of a claim are asked for again."""
         key = (effect.name, joints, tuple(shapes.items()))
-        if key not in self._columns:
-            self._columns[key] = columns(self.source, effect, joints, shapes)
-            while len(self._columns) > RECENT:
-                del self._columns[next(iter(self._columns))]
-        return self._columns[key]
+        return self._columns.of(key, lambda: columns(self.source, effect, joints, shapes))
 
     def make_again(
         self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]
     ) -> tuple[Candidate, dict[int, Array]] | None:
         """`make` for a search that comes back to the same shapes: the last `CACHED` are kept."""
         key = (effect.name, joints, tuple(shapes.items()))
-        if key in self._made:
-            return self._made[key]
-        made = self._made[key] = self.make(effect, joints, shapes)
-        while len(self._made) > CACHED:
-            del self._made[next(iter(self._made))]
-        return made
+        return self._made.of(key, lambda: self.make(effect, joints, shapes))
 
     def forget(self, joint: int) -> None:
         """Forget what was computed from other rows of ``joint``."""

@@ -187,10 +187,11 @@ class Hypothesis:
         The sums of the last scatter and noise are kept: how far description and forms may be off changes none of them.
         """
         key = (h.sigma, h.kappa)
-        if key not in self._sums:
+        if (found := self._sums.get(key)) is None:
+            found = self.total(h)
             self._sums.clear()
-            self._sums[key] = self.total(h)
-        G, logdet = self._sums[key]
+            self._sums[key] = found
+        G, logdet = found
         return project(G, 0, self.nuisance, np.zeros(0, np.intp), self.precision(h), self.mean), logdet
 
     def kappa(self, joint: int, theta: Array, sigma: float) -> float:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from stopset.offline.diagnose import thresholds as limit
-from stopset.offline.diagnose.evidence.candidate import Candidate, Scored
+from stopset.offline.diagnose.evidence.candidate import Candidate, EffectKey, Scored
 from stopset.offline.diagnose.evidence.engine import Engine
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.scores import score_new
+from stopset.offline.diagnose.side_by_side import side_by_side
 
 FINEST_LAG = 4e-4  # [s]
 
@@ -22,14 +24,14 @@ def refined(now: Hypothesis, scored: Sequence[Scored], hyper: Hyper) -> list[Sco
     What refining leaves nothing of takes no other's place: a lag of the grid may look likely at every joint and turn out to be none.
     An elastic gear shakes its neighbours: each joint's may lie between two stiffnesses of the grid, and each is refined before one is believed.
     """
-    asked, finer = set[tuple[str, tuple[int, ...]]](), list[Scored]()
+    distinct = dict[EffectKey, Scored]()
     for s in scored:
-        if len(finer) == limit.CONTENDERS or s.score <= 0:
-            break
-        if s.candidate.key not in asked and (s.admissible or _out_of_step(s)):
-            asked.add(s.candidate.key)
-            if (best := refine(now, s, hyper)).score > 0:
-                finer.append(best)
+        if s.score > 0 and (s.admissible or _out_of_step(s)):
+            distinct.setdefault(s.candidate.key, s)
+    waiting, finer = deque(distinct.values()), list[Scored]()
+    while waiting and len(finer) < limit.CONTENDERS:
+        batch = [waiting.popleft() for _ in range(min(len(waiting), limit.CONTENDERS - len(finer)))]
+        finer += [s for s in side_by_side(lambda s: refine(now, s, hyper), batch) if s.score > 0]
     return sorted((s for s in finer if possible(now.engine, s)), key=lambda s: -s.score)
 
 
@@ -69,7 +71,7 @@ def _climbed(now: Hypothesis, c: Candidate, how: str, step: float, hyper: Hyper)
     while any(steps[symbol] > enough[symbol] for symbol in steps):
         for symbol in steps:
             here = best.candidate.shapes
-            trials = [value({**here, symbol: here[symbol] * float(np.exp(k * steps[symbol]))}) for k in (1, -1)]
+            trials = side_by_side(value, [{**here, symbol: here[symbol] * float(np.exp(k * steps[symbol]))} for k in (1, -1)])
             better = [t for t in trials if t is not None and t.score > best.score]
             if better:
                 best = max(better, key=lambda t: t.score)

@@ -17,8 +17,9 @@ from stopset.offline.diagnose.search.held_out import HeldOut, held_out, on_motio
 from stopset.offline.diagnose.search.moment_arms import distinct, geared
 from stopset.offline.diagnose.search.predicts import as_described
 from stopset.offline.diagnose.search.refine import refine
-from stopset.offline.diagnose.search.settled import Settled, refines, refitted
+from stopset.offline.diagnose.search.settled import Settled, all_refitted, refines, refitted
 from stopset.offline.diagnose.search.wanted import askable, asked, load_forms
+from stopset.offline.diagnose.side_by_side import side_by_side
 
 
 def settle(
@@ -42,7 +43,7 @@ def settle(
     first = refitted(now, best[0], hyper)
     lacks = [first.taken_up * _touch(s.candidate, first.candidate) + limit.THRESHOLD for s in best]
     near = [s for s, lack in zip(best[1:], lacks[1:], strict=True) if s.score > best[0].score - lack]
-    settled = [first, *(refitted(now, s, hyper) for s in near)]
+    settled = [first, *all_refitted(now, near, hyper)]
     settled = geared(settled, now, hyper)
     likeliest = max(settled, key=lambda x: x.evidence)
     keys = {x.candidate.key for x in settled}
@@ -160,7 +161,7 @@ def likeliest_gear(
 
     A joint's own gear may be none of the contenders, where it swings faster than was looked for, and one that it shakes the best of them.
     """
-    others = [refitted(now, s, hyper) for s in other_gears(now, gear, hyper)]
+    others = all_refitted(now, other_gears(now, gear, hyper), hyper)
     best = max((gear, *others), key=lambda x: x.evidence)
     least = best.evidence - best.taken_up - limit.THRESHOLD
     return best, (*rivals, *(x.scored for x in (gear, *others) if x is not best and x.evidence > least))
@@ -176,19 +177,15 @@ def other_gears(now: Hypothesis, gear: Settled, hyper: Hyper) -> tuple[Scored, .
         return ()
     M = np.median(np.diagonal(now.engine.source.mass, axis1=1, axis2=2), axis=0)
     ratio = M / M[c.joints[0]]
-    found = []
-    for j in (j for j, x in enumerate(ratio) if x > 0 and j not in c.joints and now.engine.rows[j].size > limit.FEWEST_ROWS):
-        s = score_new(
-            now,
-            c.effect,
-            (j,),
-            {**gear.scored.candidate.shapes, "K": c.shapes["K"] * ratio[j], "D": c.shapes["D"] * ratio[j]},
-            hyper,
-        )
-        if s is not None and s.score > 0:
-            found.append(refine(now, s, hyper))
+
+    def of(j: int) -> Scored | None:
+        shapes = {**gear.scored.candidate.shapes, "K": c.shapes["K"] * ratio[j], "D": c.shapes["D"] * ratio[j]}
+        s = score_new(now, c.effect, (j,), shapes, hyper)
+        return refine(now, s, hyper) if s is not None and s.score > 0 else None
+
+    others = [j for j, x in enumerate(ratio) if x > 0 and j not in c.joints and now.engine.rows[j].size > limit.FEWEST_ROWS]
     least = gear.scored.score - gear.taken_up - limit.THRESHOLD
-    return tuple(s for s in found if s.admissible and s.score > least)
+    return tuple(s for s in side_by_side(of, others) if s is not None and s.admissible and s.score > least)
 
 
 def within_reach(engine: Engine, c: Candidate) -> bool:
@@ -206,7 +203,7 @@ def _plainer(now: Hypothesis, best: Settled, hyper: Hyper, refused: Set[EffectKe
     forms = [(e, form) for e in laws if e.enters == c.effect.enters for form in load_forms(now.engine, e, c.joints)]
     scored = (score_new(now, e, c.joints, form, hyper) for e, form in forms)
     sound = [s for s in scored if s is not None and s.admissible and s.score >= limit.THRESHOLD]
-    return [refitted(now, replace(s, score=min(s.score, best.scored.score)), hyper) for s in sound]
+    return all_refitted(now, [replace(s, score=min(s.score, best.scored.score)) for s in sound], hyper)
 
 
 def _plainer_than(e: Effect, c: Candidate, names: Sequence[str] | None) -> bool:

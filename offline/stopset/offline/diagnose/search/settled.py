@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from stopset.offline.diagnose.evidence.forms import has_no_zero, with_forms
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.evidence.uncertainty import deviations
 from stopset.offline.diagnose.search.refine import sharpened
+from stopset.offline.diagnose.side_by_side import side_by_side
 from stopset.types import Array
 
 PARTS = 10  # of the recorded rows, by position
@@ -80,7 +82,19 @@ class Settled:
 
 
 def refitted(now: Hypothesis, s: Scored, hyper: Hyper) -> Settled:
-    with_it = now.plus(_roomy(now, added(now, sharpened(now, s, hyper)), hyper))
+    """A contender with the whole model refitted."""
+    return all_refitted(now, [s], hyper)[0]
+
+
+def all_refitted(now: Hypothesis, those: Sequence[Scored], hyper: Hyper) -> list[Settled]:
+    """Each of ``those`` by itself."""
+    candidates = side_by_side(lambda s: sharpened(now, s, hyper), those)
+    columns = [added(now, c) for c in candidates]  # one after the other: each is numbered
+    return side_by_side(lambda x: _settled(now, *x, hyper), list(zip(those, columns, strict=True)))
+
+
+def _settled(now: Hypothesis, s: Scored, c: Candidate, hyper: Hyper) -> Settled:
+    with_it = now.plus(_roomy(now, c, hyper))
     h, p = with_it.fit(hyper)
     loose = with_forms(with_it, with_it.active[-1:], p.theta)
     evidence = with_it.evidence(h)

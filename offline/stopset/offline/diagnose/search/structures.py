@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -18,6 +16,7 @@ from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.evidence import gains, project
 from stopset.offline.diagnose.evidence.hypothesis import Hyper, Hypothesis
 from stopset.offline.diagnose.search.held_out import HeldOut, held_out
+from stopset.offline.diagnose.side_by_side import side_by_side
 from stopset.types import Array, Index
 
 RATES = tuple(np.geomspace(8.0, 80.0, 12).tolist())  # [rad/s] at which it may swing, to begin with
@@ -152,11 +151,9 @@ class Refitted:
 
 def _likeliest(view: Hypothesis, those: list[Place], hyper: Hyper, least: float) -> list[Sitting]:
     """Each with its likeliest spring, of all that are not far less likely than the likeliest one; none where none has the score ``least``."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # the core, and sums over all rows, release the interpreter
-        first = [s for s in pool.map(lambda place: _coarse(view, place, hyper), those) if s is not None]
-        best = max((s.score for s in first), default=0.0)
-        near = [s for s in first if s.score > max(NEAR * best, least)]
-        found = list(pool.map(lambda s: _climbed(view, s, hyper), near))
+    first = [s for s in side_by_side(lambda place: _coarse(view, place, hyper), those) if s is not None]
+    best = max((s.score for s in first), default=0.0)
+    found = side_by_side(lambda s: _climbed(view, s, hyper), [s for s in first if s.score > max(NEAR * best, least)])
     best = max((s.score for s in found), default=0.0)
     return [s for s in found if s.score > (1.0 - limit.PATTERN_SHARE) * best]
 
