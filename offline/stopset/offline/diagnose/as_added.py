@@ -25,6 +25,7 @@ from stopset.offline.compare.known import TorqueModel, rms_left
 from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.evidence.baseline import own, settled
 from stopset.offline.diagnose.question import own_in_time
+from stopset.offline.diagnose.side_by_side import side_by_side
 from stopset.offline.nominal.nominal import LOW_PASS
 from stopset.recording import Meta
 from stopset.robot import Robot
@@ -75,7 +76,7 @@ def alone(
             return why, laws
         try:
             divided = parts or halves(campaign)
-            two = [nominal_of(robot, campaign.meta, divided, s, k) for s, k in ((without, before), (revision, known))]
+            two = side_by_side(lambda x: nominal_of(robot, campaign.meta, divided, *x), [(without, before), (revision, known)])
         except (RecordingError, NotConformant):
             return "", laws  # too short to be divided, or a part of which no arm can be made: nothing is held back
         judging = Run(robot, campaign.meta, divided.judging, divided.judged, settings)

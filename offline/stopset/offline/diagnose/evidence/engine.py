@@ -17,6 +17,7 @@ from stopset.offline.diagnose import thresholds as limit
 from stopset.offline.diagnose.columns.base import all_rows, base_columns, first_friction
 from stopset.offline.diagnose.columns.laws import columns
 from stopset.offline.diagnose.columns.signals import ArmSignals
+from stopset.offline.diagnose.columns.structure import Giving, Place
 from stopset.offline.diagnose.evidence.candidate import Candidate
 from stopset.offline.diagnose.evidence.evidence import JointGram
 from stopset.offline.diagnose.evidence.priors import Beforehand, link_tolerance
@@ -31,6 +32,7 @@ from stopset.types import Array, Index
 
 EMPTY = 1e-9  # [N m] rounding: a column no larger leaves no trace
 RECENT = 8  # laws whose columns are kept
+PLACES = 32  # places where a structure or a gear may give, with all that their swings ask of the rows, that are kept
 CACHED = 64  # columns of tried shapes that are kept: a search comes back to them
 
 
@@ -64,6 +66,7 @@ class Engine:
     _drowned: dict[int, bool] = field(default_factory=dict)
     _columns: Recent[dict[int, tuple[Array, Array]]] = field(default_factory=partial(Recent, RECENT))
     _made: Recent[tuple[Candidate, dict[int, Array]] | None] = field(default_factory=partial(Recent, CACHED))
+    _giving: Recent[Giving] = field(default_factory=partial(Recent, PLACES))
 
     # -- building ---------------------------------------------------------------------------------------------------
 
@@ -104,7 +107,8 @@ class Engine:
             f = rows[j].column(np.stack([data.direction[:, j], data.dq[:, j]], axis=1) * friction[j])
             index = np.concatenate([[0], base, [1 + 15 * n], own[j], beside]).astype(np.intp)
             X = np.column_stack([X, _whitened_along(left_open, X, j)])
-            grams.append(JointGram.of(X, f, rows[j].trial, folds, FOLDS, index))
+            shown = np.any(X != 0.0, axis=0) | ~np.isin(index, base)  # of links before a joint its torque shows nothing
+            grams.append(JointGram.of(np.ascontiguousarray(X[:, shown]), f, rows[j].trial, folds, FOLDS, index[shown]))
         source.set_friction(friction)
         return Engine(
             robot,
@@ -190,6 +194,10 @@ class Engine:
         """`columns` of a law over rows and poses; the last `RECENT` are kept, as those of a claim are asked for again."""
         key = (effect.name, joints, tuple(shapes.items()))
         return self._columns.of(key, lambda: columns(self.source, effect, joints, shapes))
+
+    def giving(self, place: Place, foot: float) -> Giving:
+        """`Giving.of` a place with a foot; the last `PLACES` are kept, as every hypothesis asks for them again."""
+        return self._giving.of((place.where, foot), lambda: Giving.of(self.source, place, foot))
 
     def make_again(
         self, effect: Effect, joints: tuple[int, ...], shapes: Mapping[str, float]

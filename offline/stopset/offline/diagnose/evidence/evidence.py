@@ -11,7 +11,9 @@ Source: Laird & Ware (1982), Random-effects models for longitudinal data.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +48,7 @@ class JointGram:
     of_a_view: bool = False  # few columns, asked again and again: kept in their places in the whole, too
     _at: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
     _among_all: dict[tuple[float, float], tuple[Array, float]] = field(default_factory=dict)
+    _whole: Array | None = None  # (c, c) `G` of all folds
 
     @property
     def X(self) -> Array:
@@ -92,16 +95,21 @@ class JointGram:
         k, c = w.shape[1], len(self.index)
         G = np.zeros((len(self.G), c + k, c + k))
         G[:, :c, :c] = self.G
-        runs = np.flatnonzero(np.diff(self.row_fold, prepend=-1) != 0)  # rows of one fold beside each other
-        for start, end in zip(runs, np.append(runs, len(w))[1:], strict=True):
+        for at, fold in self._runs():
             for part, first, last in self._places():
-                G[self.row_fold[start], first:last, c:] += part[start:end].T @ w[start:end]
-            G[self.row_fold[start], c:, c:] += w[start:end].T @ w[start:end]
+                G[fold, first:last, c:] += part[at].T @ w[at]
+            G[fold, c:, c:] += w[at].T @ w[at]
         G[:, c:, :c] = G[:, :c, c:].transpose(0, 2, 1)
         return JointGram(
             (*self.parts, w) if rows else (), self.f, self.row_fold, self.starts, self.ends, self.trial, self.trial_fold,
             np.concatenate([self.index, index]), G, np.concatenate([self.g, self._by_trial(w)], axis=2), self.ff,
         )  # fmt: skip
+
+    def _runs(self) -> Iterator[tuple[slice, int]]:
+        """Rows of one fold beside each other, and the fold."""
+        begin = np.flatnonzero(np.diff(self.row_fold, prepend=-1) != 0)
+        for start, end in pairwise([*begin.tolist(), len(self.row_fold)]):
+            yield slice(start, end), int(self.row_fold[start])
 
     def keep(self, local: Index, *, rows: bool = True) -> JointGram:
         """The same sums over some of the columns, ``local`` in order; without their ``rows`` where only the sums are asked for."""
@@ -121,7 +129,9 @@ class JointGram:
             chosen = folds[self.trial_fold]
             return self._marginal(self.G[folds].sum(axis=0), self.g[chosen], self.ff[chosen], sigma, kappa)
         if (sigma, kappa) not in self._at:
-            self._at[sigma, kappa] = self._marginal(self.G.sum(axis=0), self.g, self.ff, sigma, kappa)
+            if self._whole is None:
+                self._whole = self.G.sum(axis=0)
+            self._at[sigma, kappa] = self._marginal(self._whole, self.g, self.ff, sigma, kappa)
         return self._at[sigma, kappa]
 
     def among_all(self, sigma: float, kappa: float) -> tuple[Array, float]:
@@ -151,8 +161,20 @@ class JointGram:
 
     def residual(self, theta: Array, sigma: float, kappa: float) -> Array:
         """(K,) whitened residual at the coefficients ``theta`` (c,), each trial's friction scales taken out."""
-        out = self.times(theta)
-        b = (self.g @ theta) / (self.ff + kappa / sigma**2)
+        return self._less_scales(self.times(theta), self.g @ theta, sigma, kappa)
+
+    def left_by_folds(self, theta: Array, sigma: float, kappa: float) -> tuple[Array, Array]:
+        """(K,) `times` and `residual` of every row with the coefficients of its own fold, ``theta`` (F, c)."""
+        whole = np.zeros(len(self.f))
+        for rows, fold in self._runs():
+            for part, first, last in self._places():
+                whole[rows] += part[rows] @ theta[fold, first:last]
+        scales = np.einsum("trc,tc->tr", self.g, theta[self.trial_fold])
+        return whole, self._less_scales(whole.copy(), scales, sigma, kappa)
+
+    def _less_scales(self, out: Array, summed: Array, sigma: float, kappa: float) -> Array:
+        """``out`` (K,) without the likeliest friction scales of each trial, by the sums (T, r) of the random effects with it."""
+        b = summed / (self.ff + kappa / sigma**2)
         last = int(self.ends[-1]) if len(self.ends) else 0
         out[:last] -= np.sum(self.f[:last] * np.repeat(b, self.ends - self.starts, axis=0), axis=1)
         return out

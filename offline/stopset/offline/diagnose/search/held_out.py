@@ -72,19 +72,15 @@ def on_motions(now: Hypothesis, hyper: Hyper) -> HeldOut | None:
 def _motions_left_out(now: Hypothesis, hyper: Hyper) -> HeldOut:
     engine, view = now.engine, now.view()
     n = engine.data.n
-    square, inner, count = np.zeros(n), np.zeros(n), np.zeros(n)
+    square, inner = np.zeros(n), np.zeros(n)
+    fits = np.zeros((FOLDS, view.engine.size))
     for fold in np.unique(engine.fold_of_trial):
-        G, _ = view.total(hyper, np.arange(FOLDS) != fold)
-        theta = _fitted(view, hyper, G)
-        for j, rows in enumerate(engine.rows):
-            gram, k = view.engine.grams[j], len(rows.take)
-            here = gram.row_fold[:k] == fold
-            whole = gram.times(theta[gram.index])
-            within = gram.residual(theta[gram.index], hyper.sigma[j], hyper.kappa[j])
-            square[j] += float(np.sum(rows.whiten.coloured(whole[:k])[here] ** 2))
-            inner[j] += float(np.sum(rows.whiten.coloured(within[:k])[here] ** 2))
-            count[j] += int(here.sum())
-    count = np.maximum(count, 1)
+        fits[fold] = _fitted(view, hyper, view.total(hyper, np.arange(FOLDS) != fold)[0])
+    for j, rows in enumerate(engine.rows):
+        gram, k = view.engine.grams[j], len(rows.take)
+        whole, within = gram.left_by_folds(fits[:, gram.index], hyper.sigma[j], hyper.kappa[j])
+        square[j], inner[j] = (float(np.sum(rows.whiten.coloured(x[:k]) ** 2)) for x in (whole, within))
+    count = np.maximum([len(rows.take) for rows in engine.rows], 1)
     return HeldOut(np.sqrt(square / count), np.sqrt(inner / count), None, hyper.scale)
 
 

@@ -206,7 +206,8 @@ def _giving(view: Hypothesis, place: Place) -> Callable[[Spring], Giving]:
 
     def at(s: Spring) -> Giving:
         if s.foot not in stored:
-            stored[s.foot] = Giving.of(view.engine.source, place, s.foot)
+            first = s.foot in FEET  # at which every hypothesis begins
+            stored[s.foot] = view.engine.giving(place, s.foot) if first else Giving.of(view.engine.source, place, s.foot)
         return stored[s.foot].crossed(s.angle) if place.crossing else stored[s.foot]
 
     return at
