@@ -146,6 +146,7 @@ def diagnose_model(
     if not any(map(moves, q.asked)):
         return replace(standing(q.robot, q.recordings, q.fitted), notes=(*without, *q.notes)), q.against
     x = _as_added(model, recordings, examined(q, progress), progress) if q.model is None else examined(q, progress)
+    progress("what all of it says together")
     found = answered(x, names)
     known = {f.label for f in q.fitted}
     chosen = {f.label: f for f in model.effects if f.label not in known}

@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from stopset.types import Array, Index
 
@@ -195,10 +195,25 @@ def _factor(A: Array) -> Array:
     """Cholesky factor of a scaled matrix; columns that repeat each other (a joint that never turns) leave it singular to rounding."""
     for ridge in RIDGES[:-1]:
         try:
-            return np.asarray(np.linalg.cholesky(A + ridge * np.eye(len(A))))
+            return np.asarray(np.linalg.cholesky(_more(A, ridge)))
         except np.linalg.LinAlgError:
             continue
-    return np.asarray(np.linalg.cholesky(A + RIDGES[-1] * np.eye(len(A))))
+    return np.asarray(np.linalg.cholesky(_more(A, RIDGES[-1])))
+
+
+def _more(A: Array, diagonal: Array | float) -> Array:
+    """A copy with more on its diagonal."""
+    out = A.copy()
+    out.flat[:: len(A) + 1] += diagonal
+    return out
+
+
+def _solved(L: Array, b: Array, *, turned: bool = False) -> Array:
+    """``L^-1 b`` of a Cholesky factor, or of it ``turned``: LAPACK's own, as asked thousands of times its wrapper takes longer."""
+    out, info = dtrtrs(L.T, b, lower=0, trans=0 if turned else 1)
+    if info:
+        raise np.linalg.LinAlgError(f"zero at {info} of a Cholesky factor's diagonal")
+    return np.asarray(out)
 
 
 def block(G: Array, rows: Index, columns: Index) -> Array:
@@ -220,15 +235,16 @@ def project(G: Array, y: int, nuisance: Index, rest: Index, precision: Array, me
         known, m = nuisance[at], mean[at]
         y_nuisance, y_rest = y_nuisance - block(G, nuisance, known) @ m, y_rest - block(G, rest, known) @ m
         square = float(square - 2 * m @ G[known, y] + m @ block(G, known, known) @ m)
-    A = block(G, nuisance, nuisance) + np.diag(precision)
+    A = _more(block(G, nuisance, nuisance), precision)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
-    L = _factor(A * np.outer(scale, scale))
+    A *= np.outer(scale, scale)
+    L = _factor(A)
     B = np.column_stack([block(G, nuisance, rest), y_nuisance]) * scale[:, None]
-    W = solve_triangular(L, B, lower=True, check_finite=False)
+    W = _solved(L, B)
     S = block(G, rest, rest) - W[:, :-1].T @ W[:, :-1]
     s = y_rest - W[:, :-1].T @ W[:, -1]
     rss = float(square - W[:, -1] @ W[:, -1])
-    theta = mean + scale * solve_triangular(L, W[:, -1], lower=True, trans=1, check_finite=False)
+    theta = mean + scale * _solved(L, W[:, -1], turned=True)
     return Projection(S, s, rss, theta, float(2 * np.log(np.diag(L)).sum() - 2 * np.log(scale).sum()))
 
 
