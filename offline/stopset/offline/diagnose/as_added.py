@@ -6,7 +6,7 @@ these it may explain nothing more, or take the place of one that explains more: 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -55,8 +55,8 @@ def alone(
     if not in_question(model, campaign.meta, [f.label]):
         return Alone()
     robot, settings = model.robot.as_described, settings_of(model)
-    plain = retained_elsewhere(settings, chosen, [f], robot)
-    settings = replace(plain, effects=(*plain.effects, f.label))
+    beside = retained_elsewhere(settings, chosen, [f], robot)
+    plain, settings = not_chosen(beside, [f.label], robot), replace(beside, effects=(*beside.effects, f.label))
     before = retained_effects(model)
     known = (*before, f)
     shared = [x for x in model.effects if x.label in chosen and not regressed(get(x.effect))]
@@ -154,6 +154,16 @@ def retained_elsewhere(settings: Settings, chosen: Sequence[str], added: Sequenc
     stay = tuple(x for x in chosen if x.partition(":")[2] not in at)
     there = tuple(f"{x}:{j}" for x in usual() for j in robot.joints if j in at)
     return replace(settings, friction_among=(*stay, *there), friction_retained=stay)
+
+
+def not_chosen(settings: Settings, labels: Collection[str], robot: Robot) -> Settings:
+    """``settings`` by which none of the laws ``labels`` is chosen: what a model is without them, one with them is held against.
+
+    One that chooses such a law itself has it with a number that was fitted to the very same recordings, and the law would be refused for its own.
+    """
+    anywhere = tuple(f"{x}:{j}" for x in usual() for j in robot.joints)
+    among = anywhere if settings.friction_among is None else settings.friction_among
+    return replace(settings, friction_among=tuple(x for x in among if x not in labels))
 
 
 def levelled(name: str, robot: Robot) -> bool:

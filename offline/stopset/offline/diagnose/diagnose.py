@@ -176,13 +176,16 @@ def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Pr
     """The examination of a model's own recordings without what `add` would refuse for what nominal models leave of them."""
     campaign = Campaign(recordings.meta, lambda: iter(recordings.trials))
     asked = dict[str, str]()
+    chosen = [f for f in model.effects if f.label in model.provenance.get("chosen", ())]
+    loaded = {j for f in chosen if "load" in get(f.effect).needs for j in f.joints}
     while True:
         named = [r for r in x.ranked if not r.objection]
         for r in named:
             if r.label not in asked and in_question(model, recordings.meta, [r.label]):
                 progress(f"what the model would leave of these recordings with {r.label}")
                 why = alone(model, campaign, r.fitted).why
-                asked[r.label] = _beyond_gravity(r) + why if why and r.transmitted else why
+                new = r.transmitted and not loaded.intersection(r.joints)
+                asked[r.label] = _beyond_gravity(r) + why if why and new else why
         refused = {name: why for name, why in asked.items() if why}
         if not any(r.label in refused for r in named):
             return x
@@ -190,7 +193,7 @@ def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Pr
 
 
 def _beyond_gravity(r: Ranked) -> str:
-    """What is told of friction that is there, and that no model takes."""
+    """What is told of friction that no model takes, where the model has no law of the load."""
     return (
         f"it lowers the held-out error from {r.error_before:.3g} to {r.error_after:.3g} N m, but grows with all that the gear transmits, what "
         "moves the arm besides what it weighs, and no model takes that, as its stops would have no bound; with gravity's part alone "

@@ -18,11 +18,8 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # multiples of it, modulo 1, fill the unit 
 
 def even_clock(t: Array, dt: float, near: float = NEAR) -> tuple[Array | None, int]:
     """(N,) times on the even clock of about ``dt`` [s] that the stamps ``t`` scatter about, None where there is none; lost samples."""
-    stamps, places, now = (
-        t.tolist(),
-        [0] * len(t),
-        float(t[0]),
-    )  # plain numbers: of arrays each would be looked up in ten times the time
+    # plain numbers: of an array each would take ten times as long to look up
+    stamps, places, now = t.tolist(), [0] * len(t), float(t[0])
     for k in range(1, len(stamps)):
         steps = round((stamps[k] - now) / dt)
         if steps < 1 and k > 1 and places[k - 1] - places[k - 2] > 1:  # the stamp before came late: nothing was lost before it

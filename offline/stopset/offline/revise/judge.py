@@ -31,6 +31,7 @@ from stopset.offline.diagnose.as_added import (
     in_question,
     left,
     levelled,
+    not_chosen,
     raised,
     retained_effects,
     retained_elsewhere,
@@ -273,8 +274,11 @@ class _Trials:
         """Which ``laws`` leave more of what is held out, in a ``trial`` with them beside the model with the ``plain`` alone, and why."""
         if not laws:
             return {}
-        judge, names = self.judge, [e.name for e in laws]
-        looks = zip(*(judge.left(x.part, self.settings) for x in (self.beside(plain), trial)), strict=True)
+        judge, names, labels, without = self.judge, [e.name for e in laws], {e.fitted.label for e in laws}, self.beside(plain)
+        part = without.part
+        if labels & {g.name for g in part.chosen}:
+            part = judge.fitted(not_chosen(without.settings, labels, judge.robot), without.effects)
+        looks = zip(*(judge.left(x, self.settings) for x in (part, trial.part)), strict=True)
         return raised(judge.robot, names, looks, self.chosen or (), HELD_BACK)
 
 
