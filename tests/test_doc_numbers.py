@@ -112,7 +112,7 @@ FINENESS = (
     ("evidence/baseline", "POSES", "how many poses an average is taken over"),
     ("evidence/candidate", "HELD", "infinite"),
     ("evidence/engine", "EMPTY", "rounding"),
-    ("evidence/engine", "RECENT CACHED", "how much is kept in memory"),
+    ("evidence/engine", "RECENT CACHED PLACES", "how much is kept in memory"),
     ("evidence/evidence", "RIDGES REPEATED", "rounding"),
     ("evidence/hypothesis", "GIVEN ROUNDS", "none; how often an iteration goes round"),
     ("explain/partial", "POINTS", "how many are drawn"),

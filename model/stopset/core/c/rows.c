@@ -141,21 +141,26 @@ STOPSET_WIDE void stopset_ripple_power(const StopsetPredictor *p, const StopsetR
 }
 
 /* One step of Newmark's rule, h [s] long, of four links. */
-UNROLLED void newmark(Four force, Four m, Four stiff, double D, double h, Four *x, Four *dx) {
-    const Four ddx = (force - D * *dx - stiff * (*x + 0.5 * h * *dx)) / (m + 0.5 * h * D + 0.25 * h * h * stiff);
+UNROLLED void newmark(const Four *force, const Four *m, const Four *stiff, double D, double h, Four *x, Four *dx) {
+    const Four ddx = (*force - D * *dx - *stiff * (*x + 0.5 * h * *dx)) / (*m + 0.5 * h * D + 0.25 * h * h * *stiff);
     *x = *x + h * *dx + 0.5 * h * h * ddx;
     *dx = *dx + h * ddx;
 }
 
-/* The first row of the run after that of row k: a run is a trial, and what is before the first one. */
+/* Four runs of rows: a run is a trial, or what is before the first one. */
+typedef struct {
+    int64_t from[4], to[4];
+} Runs;
+
+/* The first row of the run after that of row k. */
 static int64_t run_end(const StopsetSwing *s, int64_t N, int64_t k) {
     for (k++; k < N && !s->first[k];) k++;
     return k;
 }
 
-/* Four runs side by side, from[i] to to[i]: a step waits for the one before it, not for another run's. A lane beyond its end stays there. */
-STOPSET_WIDE static void swung_four(const StopsetSwing *s, const int64_t *from, const int64_t *to, const double *link, const double *x0,
-                                    const double *dx0, double *out, double *rate, double *acc) {
+/* As `stopset_swung`, of four runs side by side: a step waits for the one before it, not for another run's. A lane beyond its end stays there. */
+STOPSET_WIDE static void swung_four(const StopsetSwing *s, int64_t N, const Runs *runs, const double *link, const double *x0,
+                                    const double *dx0, double *out) {
     const int parts = s->parts;
     const double h = s->dt / parts;
     int64_t longest = 0;
@@ -163,30 +168,34 @@ STOPSET_WIDE static void swung_four(const StopsetSwing *s, const int64_t *from, 
     for (int64_t r = 0; r == 0 || r < longest; r++) {
         Four M_now, force_now, stiff;
         for (int i = 0; i < 4; i++) {
-            const int64_t length = to[i] - from[i], k = from[i] + (r < length ? r : length - 1);
+            const int64_t length = runs->to[i] - runs->from[i], k = runs->from[i] + (r < length ? r : length - 1);
             M_now[i] = s->M[k], force_now[i] = link[k], stiff[i] = s->K + s->g[k];
             longest = length > longest ? length : longest;
             if (r == 0 && s->first[k]) x[i] = x0[k], dx[i] = dx0[k];
         }
-        if (r > 0)
-            for (int part = 0; part < parts; part++) {
-                const double w = (part + 0.5) / parts;
-                newmark(-(force + w * (force_now - force)), M + w * (M_now - M), stiff, s->D, h, &x, &dx);
-            }
+        for (int part = 0; r > 0 && part < parts; part++) {
+            const double w = (part + 0.5) / parts;
+            const Four pull = -(force + w * (force_now - force)), m = M + w * (M_now - M);
+            newmark(&pull, &m, &stiff, s->D, h, &x, &dx);
+        }
         const Four ddx = (-force_now - s->D * dx - stiff * x) / M_now;
-        for (int i = 0; i < 4; i++)
-            if (r < to[i] - from[i]) out[from[i] + r] = x[i], rate[from[i] + r] = dx[i], acc[from[i] + r] = ddx[i];
+        for (int i = 0; i < 4; i++) {
+            const int64_t k = runs->from[i] + r;
+            if (k < runs->to[i]) out[k] = x[i], out[N + k] = dx[i], out[2 * N + k] = ddx[i];
+        }
         M = M_now, force = force_now;
     }
 }
 
 void stopset_swung(const StopsetSwing *s, int64_t N, const double *link, const double *x0, const double *dx0, double *out) {
     for (int64_t k = 0; k < N;) {
-        int64_t from[4], to[4];
-        int runs = 0;
-        for (; runs < 4 && k < N; runs++) from[runs] = k, k = to[runs] = run_end(s, N, k);
-        for (int i = runs; i < 4; i++) from[i] = from[0], to[i] = to[0]; /* fewer are left: the first of them more than once */
-        swung_four(s, from, to, link, x0, dx0, out, out + N, out + 2 * N);
+        Runs runs;
+        for (int i = 0; i < 4; i++) {
+            const int64_t from = k < N ? k : runs.from[0]; /* fewer are left: the first of them more than once */
+            runs.from[i] = from, runs.to[i] = run_end(s, N, from);
+            if (k < N) k = runs.to[i];
+        }
+        swung_four(s, N, &runs, link, x0, dx0, out);
     }
 }
 
@@ -200,8 +209,9 @@ void stopset_led(const StopsetSwing *s, int64_t N, const double *link, const dou
             x0[k] = -link[k] / stiff;
             continue;
         }
+        const Four pull = FOUR_OF(-link[k]), m = FOUR_OF(s->M[k]), stiffness = FOUR_OF(stiff);
         Four x = FOUR_OF(-rest[k] / stiff), dx = {0};
-        for (int64_t i = 0; i < steps; i++) newmark(FOUR_OF(-link[k]), FOUR_OF(s->M[k]), FOUR_OF(stiff), s->D, h, &x, &dx);
+        for (int64_t i = 0; i < steps; i++) newmark(&pull, &m, &stiffness, s->D, h, &x, &dx);
         x0[k] = x[0], dx0[k] = dx[0];
     }
 }
