@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from stopset.errors import RecordingError
 from stopset.offline.diagnose.rows.prepare import prepare
 from stopset.offline.diagnose.rows.sampling import in_words, sampled
+from stopset.offline.nominal import preprocess
 from stopset.offline.nominal.stamps import even_clock
 from stopset.recording import Meta, Recording, Recordings
 
@@ -99,3 +101,22 @@ def test_a_trial_too_short_to_tell_its_noise_does_not_count() -> None:
     whole = recorded(DT * np.arange(N), DT * np.arange(N))
     made = prepare(Recordings(Meta(joints=("a", "b"), robot="two", rate_hz=1 / DT), [whole, replace(short, trial=1)]))
     assert len(made.trials) == 1 and np.isfinite(made.torque_noise).all()
+
+
+def test_uneven_stamps_are_read_once_for_all_passes_over_the_same_positions() -> None:
+    """Another torque of the same positions is read on the same grid; written over they are read anew; of what is gone nothing is kept."""
+    rng = np.random.default_rng(4)
+    t = np.sort(0.01 * np.arange(400) + rng.normal(0.0, 1e-3, 400))
+    r = Recording("closed_loop", 0, 0, 0, t, np.sin(t)[:, None], np.cos(t)[:, None], np.sin(3 * t)[:, None])
+    before = len(preprocess._resampled_of._known)
+    ((grid, q, tau, _),) = preprocess.even_pieces(r)
+    ((again, same, other, _),) = preprocess.even_pieces(replace(r, tau=2.0 * r.tau))
+    assert again is grid and same is q and np.allclose(other, 2.0 * tau)
+    assert np.allclose(q[:, 0], np.sin(grid), atol=2e-3)
+    r.q[:] = np.cos(t)[:, None]
+    ((_, moved, _, _),) = preprocess.even_pieces(r)
+    assert np.allclose(moved[:, 0], np.cos(grid), atol=2e-3)
+    assert len(preprocess._resampled_of._known) == before + 1
+    del r
+    gc.collect()
+    assert len(preprocess._resampled_of._known) == before
