@@ -376,15 +376,32 @@ HELD_UP = {
 }
 
 
+class Still:
+    """A clock that only a test moves: a machine that stands still for a second would make every frame old."""
+
+    def __init__(self) -> None:
+        self.now = 1.7e9
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def time_ns(self) -> int:
+        return round(self.now * 1e9)
+
+    def sleep(self, seconds: float) -> None:
+        """Nobody sleeps."""
+
+
 @pytest.mark.parametrize("which", HELD_UP)
 def test_no_cycle_of_a_bus_that_is_held_up_is_missing_from_the_counters(which: str) -> None:
     """One was neither a sample nor counted where its frames came so late that they could be of another."""
-    tape, cycle, begin = recorded([motion(0, 60)]), -1, time.time() - 1.0
+    clock = Still()
+    tape, cycle, begin = recorded([motion(0, 60)]), -1, clock.now - 1.0
     late = dict(HELD_UP[which])
     for place, f in enumerate(tape.frames):
         cycle += f.cob_id == SYNC_ID
         tape.frames[place] = f._replace(t=begin + f.t + (f.cob_id != SYNC_ID) * DT * late.get(cycle, 0.01))
-    source = CanSource(tape, PROFILE, DT)
+    source = CanSource(tape, PROFILE, DT, clock=clock)
     got = [s for _ in range(70) if (s := source.next(0.0)) is not None]
     c = source.counters()
     assert c["cycles"] == 60 == len(got) + c["dropped"] + c["incomplete_cycles"] + c["doubtful_cycles"] + c["cycles_underway"]
@@ -403,9 +420,9 @@ class Ending(Tape):
 
 def test_the_sample_in_hand_when_a_bus_fails_is_given_out() -> None:
     """It was thrown away, and counted nowhere, where it was older than samples should be and a newer one was looked for."""
-    tape = Ending()
-    tape.frames = [f._replace(t=time.time() - 1.0 + f.t) for f in recorded([motion(0, 10)]).frames]
-    source = CanSource(tape, PROFILE, DT, oldest_s=1e-3)
+    tape, clock = Ending(), Still()
+    tape.frames = [f._replace(t=clock.now - 1.0 + f.t) for f in recorded([motion(0, 10)]).frames]
+    source = CanSource(tape, PROFILE, DT, oldest_s=1e-3, clock=clock)
     sample = source.next(0.0)
     assert sample is not None and sample.k == 8 and source.dropped == 8
     with pytest.raises(BusError, match="cable out"):
@@ -614,14 +631,14 @@ class Fed:
 
 def test_why_no_cycle_is_whole_is_said_once() -> None:
     """It was "no signal from the arm", whether the bus was dead or one drive of six had lost its mapping."""
-    bus = Fed()
-    source, (_, frames) = CanSource(bus, PROFILE, DT), one_cycle()
+    bus, clock = Fed(), Still()
+    source, (_, frames) = CanSource(bus, PROFILE, DT, clock=clock), one_cycle()
 
     def heard(without: set[int]) -> list[str]:
         encoder, (values, _) = Encoder(PROFILE), one_cycle()
         for _ in range(20):
-            t = time.time()
-            bus.frames += [Frame(cob, data, t) for cob, data in encoder.frames(values) if cob not in without]
+            clock.now += DT
+            bus.frames += [Frame(cob, data, clock.now) for cob, data in encoder.frames(values) if cob not in without]
         while bus.frames:
             source.next(0.0)
         return source.complaints()
@@ -636,7 +653,7 @@ def test_why_no_cycle_is_whole_is_said_once() -> None:
     assert heard({cob for cob, _ in frames}) == [], "nor on a dead bus: as before"
     assert heard(set()) == []
     assert len(heard({cob for cob, _ in frames})) == 1
-    source, slow = CanSource(bus, replace(PROFILE, cycle_s=0.5), 0.5), {cob for cob, _ in frames}
+    source, slow = CanSource(bus, replace(PROFILE, cycle_s=0.5), 0.5, clock=clock), {cob for cob, _ in frames}
     assert heard(set()) == [] == heard(slow), "of slow cycles a look may see none"
 
 
