@@ -237,8 +237,7 @@ def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[..., judging.Judgemen
 
     def fitted(self: Any, settings: Settings, known: Sequence[Fitted]) -> Any:
         theirs = any(f.values["x"] != 2.0 for f in known)
-        lift = self.campaign.theirs if theirs else 1.1 if known and self.campaign.worse else 1.0
-        return SimpleNamespace(lift=lift, chosen=())
+        return SimpleNamespace(chosen=(), lift=self.campaign.theirs if theirs else 1.1 if known and self.campaign.worse else 1.0)
 
     def simulated(self: Any, part: Any) -> dict[str, float]:
         each = {f"{key}:{j}": (part.lift if j == "lift" else 1.0) for key in judging.HELD_OUT for j in joints}

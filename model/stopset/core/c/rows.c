@@ -164,13 +164,13 @@ STOPSET_WIDE static void swung_four(const StopsetSwing *s, int64_t N, const Runs
     const int parts = s->parts;
     const double h = s->dt / parts;
     int64_t longest = 0;
+    for (int i = 0; i < 4; i++) longest = runs->to[i] - runs->from[i] > longest ? runs->to[i] - runs->from[i] : longest;
     Four x = {0}, dx = {0}, M = {0}, force = {0};
-    for (int64_t r = 0; r == 0 || r < longest; r++) {
+    for (int64_t r = 0; r < longest; r++) {
         Four M_now, force_now, stiff;
         for (int i = 0; i < 4; i++) {
-            const int64_t length = runs->to[i] - runs->from[i], k = runs->from[i] + (r < length ? r : length - 1);
+            const int64_t last = runs->to[i] - 1, k = runs->from[i] + r < last ? runs->from[i] + r : last;
             M_now[i] = s->M[k], force_now[i] = link[k], stiff[i] = s->K + s->g[k];
-            longest = length > longest ? length : longest;
             if (r == 0 && s->first[k]) x[i] = x0[k], dx[i] = dx0[k];
         }
         for (int part = 0; r > 0 && part < parts; part++) {
