@@ -170,4 +170,8 @@ def test_what_no_model_takes_is_told_with_the_reason_and_not_named(shared_data) 
     (left,) = (u for u in found.unexplained if u.joint == "shoulder_lift_joint")
     (told,) = left.resembles
     assert told.startswith("quadratic_load:shoulder_lift_joint: it lowers the held-out error from 4.9")
+    assert (
+        found.next_experiment is not None
+        and "friction (quadratic_load) that grows with all that the gear transmits" in found.next_experiment
+    )
     assert "all that the gear transmits" in told and "explains more than gravity's part of the load" in told

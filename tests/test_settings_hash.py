@@ -70,7 +70,7 @@ LEFT_OUT = (
     ("stopset.offline.conform.program", "BEYOND UNSOLVED", WORDS),
     ("stopset.offline.diagnose.columns.laws", "RIGID TRANSMITTED MOVING", ROLES),
     ("stopset.offline.diagnose.compensated", "CARRIED", CODES),
-    ("stopset.offline.diagnose.diagnose", "ALREADY SINCE SINGLE", WORDS),
+    ("stopset.offline.diagnose.diagnose", "ALREADY OF_ALL SINCE SINGLE", WORDS),
     ("stopset.offline.diagnose.examination", "INNER WHILE_MOVING", WORDS),
     ("stopset.offline.diagnose.load", "CARRIED_BY_LINKS WEIGHED_ALONE NO_SUCH_BODY", WORDS),
     ("stopset.offline.diagnose.plays", "UNREAD ONE_SIDED", WORDS),

@@ -37,6 +37,7 @@ SINGLE = (
 )
 LEAVES_TOO_MUCH = "it explains a part, and leaves too much to be the cause"
 SINCE = "Record the same motion again after a while: what keeps changing wears, what came at once was done to the arm."
+OF_ALL = "grows with all that the gear transmits"
 ALREADY = " The model has it already, with these numbers: identification chose it. The error before is without it."
 
 
@@ -85,7 +86,7 @@ def answered(x: Examination, names: Sequence[str] | None = None) -> Diagnosis:
     if worst is not None and (verdict == "unknown" or left.depends):
         shown = pattern(found.now, left.theta, left.hyper, worst, left.ranking[worst], limit.PATTERN)
     next_experiment = {
-        "unknown": lambda: None if worst is None else advice.to_explain(joints[worst], shown),
+        "unknown": lambda: _slower(x) or (None if worst is None else advice.to_explain(joints[worst], shown)),
         "missing": lambda: advice.to_decide(rivals),
         "none": lambda: advice.to_see(blind),
     }[verdict]()
@@ -195,9 +196,18 @@ def _as_added(model: Model, recordings: Recordings, x: Examination, progress: Pr
 def _beyond_gravity(r: Ranked) -> str:
     """What is told of friction that no model takes, where the model has no law of the load."""
     return (
-        f"it lowers the held-out error from {r.error_before:.3g} to {r.error_after:.3g} N m, but grows with all that the gear transmits, what "
-        "moves the arm besides what it weighs, and no model takes that, as its stops would have no bound; with gravity's part alone "
+        f"it lowers the held-out error from {r.error_before:.3g} to {r.error_after:.3g} N m, but {OF_ALL}, what moves the arm besides what it "
+        "weighs, and no model takes that, as its stops would have no bound; with gravity's part alone "
     )
+
+
+def _slower(x: Examination) -> str | None:
+    """What to do about friction that no model takes; None where there is none such."""
+    beyond = next((r for r in x.ranked if OF_ALL in r.objection), None)
+    if beyond is None:
+        return None
+    at = f"What is left at {beyond.joints[0]} looks like friction ({beyond.effect}) that {OF_ALL}"
+    return f"{at}: move it slowly, so that this is what it weighs, and diagnose that recording."
 
 
 def _beside_what_is_named(model: Model, found: Diagnosis) -> Model:

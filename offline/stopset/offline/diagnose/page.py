@@ -20,7 +20,7 @@ from stopset.words import many
 
 WORDS = {
     "none": "none: No effect of the catalogue is missing: what is left is noise and the usual scatter of friction.",
-    "unknown": "unknown: Something is missing that no effect of the catalogue explains.",
+    "unknown": "unknown: Something is missing that no effect explains that a model takes.",
 }
 
 
