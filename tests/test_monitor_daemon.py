@@ -447,6 +447,23 @@ def test_an_order_that_names_no_message_clears_no_violation_that_nobody_can_have
     assert not daemon.latch.latched
 
 
+def test_a_message_is_stamped_with_the_instant_it_was_judged_for(make: Callable[..., Made]) -> None:
+    """A daemon stopped after it had judged, and stamping when it was woken two seconds later, said OK of a moment nobody had looked at."""
+    daemon, _, wire = make(samples(60), publish={"recover_s": 0.0, "evidence_min_s": 0.0})
+    judged: list[int] = []
+    packed = daemon._message.changing
+
+    def stopped_here(*turn: Any) -> Any:
+        judged.append(time.time_ns())
+        time.sleep(1e-3)
+        return packed(*turn)
+
+    daemon._message.changing = stopped_here  # type: ignore[method-assign]
+    daemon.run(never)
+    assert {State.OK, State.DEGRADED} & set(wire.words) and len(judged) == len(wire.states)
+    assert all(s["t_pub_ns"] <= at for s, at in zip(wire.states, judged, strict=True))
+
+
 @pytest.mark.parametrize(("recover", "flaps"), [(0.0, True), (LEAST_RECOVER, False)])
 def test_good_cycles_between_bad_ones_are_no_ok(make: Callable[..., Made], recover: float, flaps: bool) -> None:
     """Of drives that leave out the torque of every fourth cycle: why a configuration with no time to recover is refused."""

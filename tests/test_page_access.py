@@ -64,7 +64,7 @@ def moving(state: State) -> Alive:
     numbers = {c: answer_for(prepared, c, x - r, x + r).numbers for c in ("0", "1")}
     joints = model.joints
     left = [{"joint": joints[3], "samples": 3, "state": "q", "side": "above", "unit": "rad", "excess": 0.01}]
-    stops = _stops(Turn(state, 0, "", numbers), joints)
+    stops = _stops(Turn(state, 0, "", numbers, 0), joints)
     reported = twin("fine") | {
         "state": state.name, "joints": list(joints), "q": q.tolist(), "model_sha256": json.loads(text)["sha256"],
         "room": dict.fromkeys(joints, 0.5), "stops": stops, "violations": left if state is State.VIOLATION else [],

@@ -232,7 +232,8 @@ class Daemon:
         s, now = self.sample, self.clock.monotonic()
         numbers, fresh = self.desk.now(s.q, s.dq) if s is not None else ({}, False)
         since = now - self._arrived
-        stamped = self.clock.time_ns() * 1e-9
+        made = self.clock.time_ns()
+        stamped = made * 1e-9
         ahead = stamped - self.clock.monotonic(), stamped - now
         age = stamped - s.t if s is not None else float("inf")
         stale = since > self._stale_s
@@ -246,13 +247,13 @@ class Daemon:
         if not believable(state, flags):
             flags |= FALLBACK_IN_FORCE
             numbers = self._message.withdrawn(numbers)
-        return Turn(state, flags, why, numbers)
+        return Turn(state, flags, why, numbers, made)
 
     def _send(self, turn: Turn) -> None:
         message, publisher = self._message, self.publisher
         dropped = self._dropped + self.source.dropped + self.orders.dropped
         now = message.changing(turn, self.sample, self.verdict, self.latch, dropped)
-        publisher.state(now, message.block(turn.numbers, publisher.identity))
+        publisher.state(now, message.block(turn.numbers, publisher.identity), turn.made_ns)
         self._notify.say("WATCHDOG=1")
 
     def _obey(self, now: float) -> None:
@@ -309,7 +310,7 @@ class Daemon:
         try:
             turn = self._situation()
         except Exception as e:  # noqa: BLE001 - this is the error path: there is no other behind it
-            turn = Turn(State.FAULT, FALLBACK_IN_FORCE, f"{words}; {type(e).__name__}: {e}", {})
+            turn = Turn(State.FAULT, FALLBACK_IN_FORCE, f"{words}; {type(e).__name__}: {e}", {}, self.clock.time_ns())
         try:
             self._send(turn)
             self.publisher.words("state/json", twin(self, turn))
@@ -378,7 +379,7 @@ class Daemon:
         self._notify.say("STOPPING=1")
         turn = self._situation()
         none = {c: Numbers.none(self.model.n, "shut down") for c in turn.numbers}
-        turn = Turn(State.SHUTDOWN, turn.flags | FALLBACK_IN_FORCE, "the monitor was stopped", none)
+        turn = Turn(State.SHUTDOWN, turn.flags | FALLBACK_IN_FORCE, "the monitor was stopped", none, turn.made_ns)
         self._send(turn)
         self.publisher.words("state/json", twin(self, turn), must_arrive=True)
         if self.recorder is not None:

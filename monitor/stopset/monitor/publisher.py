@@ -45,12 +45,14 @@ class Publisher:
             for name in ("time", "angle_forward", "angle_back", "time_max", "tcp"):
                 self._nothing[f"{PREFIX[c]}_{name}"] = inf if name in ("time", "angle_forward", "angle_back") else np.inf
 
-    def state(self, now: Changing, block: Mapping[str, Any]) -> None:
+    def state(self, now: Changing, block: Mapping[str, Any], made_ns: int) -> None:
         """The next state message; values that cannot be packed go out as FAULT without numbers.
 
-        ``block``: fields that stay while it is the same object.
+        ``block``: fields that stay while it is the same object. ``made_ns``: the instant the state was judged for, which is the
+        message's: stamped any later, a daemon that stood still in between, or whose clock was set, would say OK of a moment nobody
+        judged.
         """
-        number = self.seq & 0xFFFFFFFF, self.boot, self.clock.time_ns() & U64
+        number = self.seq & 0xFFFFFFFF, self.boot, made_ns & U64
         try:
             data = self._packer.again(now, number, self._nonces, block)
         except Exception as e:  # noqa: BLE001 - whatever it is, the consumers must hear FAULT rather than nothing

@@ -36,12 +36,13 @@ NOTICE += "assessment must be measured (ISO 10218-1, ISO 13855)."
 
 
 class Turn(msgspec.Struct):  # as `stopset.monitor.sample.Sample`
-    """What one turn of the loop has come to."""
+    """What one turn of the loop has come to; ``made_ns``: the instant it was judged for, by the clock that stamps."""
 
     state: State
     flags: int
     why: str
     numbers: dict[str, Numbers]
+    made_ns: int
 
 
 @dataclass(slots=True)
