@@ -158,6 +158,15 @@ def test_what_the_form_of_a_gas_spring_leaves_is_no_spring_beside_it(shared_data
 
 
 @pytest.mark.shared
+def test_what_is_unknown_is_told_with_its_joint_and_size(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """A torque sensor that drifts within each motion: what wanders so slowly left hardly more than noise, and was said of no joint."""
+    arm = str(shared_data("ur10e/robot.urdf"))
+    answer = found_pairs.asked(arm, found_pairs.called("weeks", arm, 178133), 178133)
+    ((joint, size, *_),) = answer["unexplained"]
+    assert answer["verdict"] == "unknown" and joint == "shoulder_pan_joint" and 0.3 < size < 1.5
+
+
+@pytest.mark.shared
 def test_play_in_a_gear_is_no_elasticity_of_its_neighbour(shared_data) -> None:  # type: ignore[no-untyped-def]
     """Its swing is 0.76 +- 0.04 times what that elbow's stiffness would make."""
     answer = case_of(str(shared_data("ur10e/robot.urdf")), "backlash", 41063)

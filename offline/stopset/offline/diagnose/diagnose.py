@@ -316,7 +316,7 @@ def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
 
     Of an unknown cause nothing is named, so what is left is what the model leaves without any claim.
     """
-    unknown = verdict == "unknown"
+    unknown, unsettled = verdict == "unknown", {*x.left.noisy, *x.left.scattering}
     sound = [] if unknown else [k for k, r in enumerate(x.ranked) if not r.objection]
     error = (x.steps(sound)[-1].after if sound else x.found.before).whole
     out = []
@@ -326,7 +326,7 @@ def _unexplained(x: Examination, verdict: str) -> tuple[Unexplained, ...]:
         refuted = tuple(
             f"{r.label}: {LEAVES_TOO_MUCH if stands[r.label] else r.objection}" for r in here if unknown or r.objection
         )
-        if x.found.excess[j] > limit.QUIET or j in x.left.depends or refuted:
+        if x.found.excess[j] > limit.QUIET or j in x.left.depends or refuted or (unknown and j in unsettled):
             names = tuple(d.variable for d in x.left.depends.get(j, ())[:2])
             out.append(Unexplained(joint, float(error[j]), names, refuted))
     return tuple(out)
