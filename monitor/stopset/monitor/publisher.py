@@ -48,9 +48,8 @@ class Publisher:
     def state(self, now: Changing, block: Mapping[str, Any], made_ns: int) -> None:
         """The next state message; values that cannot be packed go out as FAULT without numbers.
 
-        ``block``: fields that stay while it is the same object. ``made_ns``: the instant the state was judged for, which is the
-        message's: stamped any later, a daemon that stood still in between, or whose clock was set, would say OK of a moment nobody
-        judged.
+        ``block``: fields that stay while it is the same object. ``made_ns`` [ns since the epoch]: the instant the state was judged for.
+        Stamped any later, a daemon that stood still in between, or whose clock was set, would say OK of a moment nobody judged.
         """
         number = self.seq & 0xFFFFFFFF, self.boot, made_ns & U64
         try:

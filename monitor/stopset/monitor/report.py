@@ -36,7 +36,7 @@ NOTICE += "assessment must be measured (ISO 10218-1, ISO 13855)."
 
 
 class Turn(msgspec.Struct):  # as `stopset.monitor.sample.Sample`
-    """What one turn of the loop has come to; ``made_ns``: the instant it was judged for, by the clock that stamps."""
+    """What one turn of the loop has come to; ``made_ns`` [ns since the epoch]: the instant it was judged for."""
 
     state: State
     flags: int
